@@ -1,0 +1,208 @@
+"""V = Φ(H + Hc, C), its derivatives, and the control law of Lemma 1, in CasADi MX.
+
+    C = K(Σ βᵢ(cᵢ))  or  K(c₁, …, c_r)                         eq. casimir_parameterization
+    u  = −Gcᵀ∇Hc − D Gᵀ ∂V/∂x                                 Lemma 1, with u = −y_c + v
+    ξ̇  = (Jc − Rc)∇Hc + Gc Gᵀ∇H − Gc Dc Gcᵀ ∂V/∂ξ
+    ż  = (M/Φ₁ − 𝒢𝒟𝒢ᵀ)∇V,  M = Jcl − Rcl                      the same loop, because M∇C = 0
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+
+import casadi as ca
+import numpy as np
+
+from necc_casadi.bridge import casadi_function
+from necc_casadi.casimirs import Casimirs
+from necc_casadi.loop import ClosedLoop
+from necc_casadi.networks import MonotonePhi, Network, Vector
+
+__all__ = ["Form", "LyapunovFunction", "Terms", "make_terms", "value"]
+
+Scalar = Callable[[ca.MX], ca.MX]
+
+
+@dataclass(frozen=True)
+class Form:
+    """Which networks V is made of; the weight vector holds them in this order."""
+
+    hc: Network  # Hc: ℝⁿᶜ → ℝ
+    k: Network  # K: ℝ → ℝ (sum form) or ℝʳ → ℝ (joint form)
+    betas: tuple[Network, ...] = ()  # β₁ … β_r of the sum form; none: β is the identity
+    phi: MonotonePhi | None = None  # None: Φ = H + Hc + C
+
+    @property
+    def networks(self) -> tuple[Network | MonotonePhi, ...]:
+        """All networks, in the order of the weight vector."""
+        return (self.hc, self.k, *self.betas, *(() if self.phi is None else (self.phi,)))
+
+    @property
+    def size(self) -> int:
+        """Number of weights of all networks."""
+        return sum(network.size for network in self.networks)
+
+    def split(self, weights: Vector) -> list[Vector]:
+        """The weight vectors of :attr:`networks`; also splits a CasADi vector."""
+        ends = np.cumsum([0, *[network.size for network in self.networks]])
+        return [weights[a:b] for a, b in zip(ends[:-1], ends[1:], strict=True)]
+
+    def initial(self, rng: np.random.Generator) -> Vector:
+        """Random weights for all networks, (size,)."""
+        return np.concatenate([network.initial(rng) for network in self.networks])
+
+    def controller_energy(self, weights: ca.MX) -> Scalar:
+        """ξ ↦ Hc(ξ)."""
+        theta = self.split(weights)[0]
+        return lambda xi: self.hc(theta, xi)
+
+    def casimir(self, weights: ca.MX) -> Scalar:
+        """(c₁, …, c_r) ↦ C, in the sum or the joint form."""
+        _, theta_k, *rest = self.split(weights)
+        if not self.betas:
+            return lambda c: self.k(theta_k, c)
+        return lambda c: self.k(
+            theta_k,
+            sum(beta(rest[i], c[i]) for i, beta in enumerate(self.betas)),
+        )
+
+    def outer(self, weights: ca.MX) -> Callable[[ca.MX, ca.MX], ca.MX]:
+        """(e, C) ↦ Φ(e, C)."""
+        phi = self.phi
+        if phi is None:
+            return lambda energy, casimir: energy + casimir
+        theta = self.split(weights)[-1]
+        return lambda energy, casimir: phi(theta, ca.vertcat(energy, casimir))
+
+
+@dataclass(frozen=True, eq=False)
+class Terms:
+    """The plant's and the controller's symbolic terms as CasADi functions."""
+
+    n: int  # plant states
+    nc: int  # controller states
+    m: int  # inputs
+    r: int  # Casimirs
+    H: ca.Function  # x -> 1
+    c: ca.Function  # z -> r
+    G: ca.Function  # x -> n × m
+    Gc: ca.Function  # ξ -> nc × m
+    Fc: ca.Function  # ξ -> nc × nc, Jc − Rc
+    M: ca.Function  # z -> (n + nc) × (n + nc), Jcl − Rcl
+
+
+def make_terms(loop: ClosedLoop, casimirs: Casimirs) -> Terms:
+    """Translate a closed loop and its closed-form Casimirs for CasADi."""
+    plant, controller = loop.plant, loop.controller
+    return Terms(
+        n=plant.n,
+        nc=controller.nc,
+        m=plant.m,
+        r=len(casimirs.functions),
+        H=casadi_function("H", plant.x, [plant.H]),
+        c=casadi_function("c", loop.z, list(casimirs.functions)),
+        G=casadi_function("G", plant.x, plant.G),
+        Gc=casadi_function("Gc", controller.xi, controller.Gc),
+        Fc=casadi_function("Fc", controller.xi, controller.Jc - controller.Rc),
+        M=casadi_function("M", loop.z, loop.M),
+    )
+
+
+def value(
+    terms: Terms,
+    z: ca.MX,
+    controller_energy: Scalar,
+    casimir: Scalar,
+    outer: Callable[[ca.MX, ca.MX], ca.MX],
+) -> ca.MX:
+    """V(z) = Φ(H(x) + Hc(ξ), C(c(z))) for any functions Hc, C and Φ."""
+    x, xi = z[: terms.n], z[terms.n :]
+    return outer(terms.H(x) + controller_energy(xi), casimir(terms.c(z)))
+
+
+@dataclass(frozen=True, eq=False)
+class LyapunovFunction:
+    """A trained V with its derivatives and the control law, as CasADi functions of numbers."""
+
+    terms: Terms
+    form: Form
+    weights: Vector  # (form.size,)
+    D: Vector  # m × m, ≻ 0
+    Dc: Vector  # m × m, ≻ 0
+
+    def __call__(self, z: ca.MX) -> ca.MX:
+        """V(z) as an MX expression."""
+        w = ca.DM(self.weights)
+        form = self.form
+        return value(self.terms, z, form.controller_energy(w), form.casimir(w), form.outer(w))
+
+    @cached_property
+    def V(self) -> ca.Function:
+        """z -> V(z), scalar."""
+        z = self._z()
+        return ca.Function("V", [z], [self(z)], ["z"], ["V"])
+
+    @cached_property
+    def gradient(self) -> ca.Function:
+        """z -> ∇V, (n + nc,)."""
+        z = self._z()
+        return ca.Function("grad_V", [z], [ca.gradient(self(z), z)], ["z"], ["grad_V"])
+
+    @cached_property
+    def hessian(self) -> ca.Function:
+        """z -> ∇²V, (n + nc) × (n + nc)."""
+        z = self._z()
+        return ca.Function("hess_V", [z], [ca.hessian(self(z), z)[0]], ["z"], ["hess_V"])
+
+    @cached_property
+    def phi_slope(self) -> ca.Function:
+        """z -> Φ₁ = ∂Φ/∂(H + Hc), scalar."""
+        z, e, c = self._z(), ca.MX.sym("e"), ca.MX.sym("c")
+        w = ca.DM(self.weights)
+        slope = ca.Function("slope", [e, c], [ca.gradient(self.form.outer(w)(e, c), e)])
+        x, xi = z[: self.terms.n], z[self.terms.n :]
+        energy = self.terms.H(x) + self.form.controller_energy(w)(xi)
+        return ca.Function("phi_1", [z], [slope(energy, self.form.casimir(w)(self.terms.c(z)))])
+
+    @cached_property
+    def control_law(self) -> ca.Function:
+        """(x, ξ) -> (u, ξ̇), the exported controller."""
+        terms = self.terms
+        x, xi = ca.MX.sym("x", terms.n), ca.MX.sym("xi", terms.nc)
+        return ca.Function(
+            "necc", [x, xi], list(self._control(x, xi)), ["x", "xi"], ["u", "xi_dot"]
+        )
+
+    def _control(self, x: ca.MX, xi: ca.MX) -> tuple[ca.MX, ca.MX]:
+        terms = self.terms
+        z = ca.vertcat(x, xi)
+        grad_V = ca.gradient(self(z), z)
+        grad_H = ca.gradient(terms.H(x), x)
+        grad_Hc = ca.gradient(self.form.controller_energy(ca.DM(self.weights))(xi), xi)
+        G, Gc = terms.G(x), terms.Gc(xi)
+        v = -ca.DM(self.D) @ (G.T @ grad_V[: terms.n])
+        v_c = -ca.DM(self.Dc) @ (Gc.T @ grad_V[terms.n :])
+        u = -Gc.T @ grad_Hc + v
+        xi_dot = terms.Fc(xi) @ grad_Hc + Gc @ (G.T @ grad_H + v_c)
+        return u, xi_dot
+
+    @cached_property
+    def vector_field(self) -> ca.Function:
+        """z -> ż of the damped closed loop, plant and controller as they are built."""
+        terms = self.terms
+        z = self._z()
+        x, xi = z[: terms.n], z[terms.n :]
+        u, xi_dot = self._control(x, xi)
+        plant = terms.M(z)[: terms.n, : terms.n] @ ca.gradient(terms.H(x), x) + terms.G(x) @ u
+        return ca.Function("loop", [z], [ca.vertcat(plant, xi_dot)], ["z"], ["z_dot"])
+
+    def linearisation(self, z: Vector) -> Vector:
+        """∂ż/∂z at z, (n + nc) × (n + nc)."""
+        s = self._z()
+        jacobian = ca.Function("A", [s], [ca.jacobian(self.vector_field(s), s)])
+        return np.asarray(jacobian(z), dtype=float)
+
+    def _z(self) -> ca.MX:
+        return ca.MX.sym("z", self.terms.n + self.terms.nc)
