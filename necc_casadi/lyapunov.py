@@ -86,6 +86,8 @@ class Terms:
     m: int  # inputs
     r: int  # Casimirs
     H: ca.Function  # x -> 1
+    grad_H: ca.Function  # x -> n
+    F: ca.Function  # x -> n × n, J − R
     c: ca.Function  # z -> r
     G: ca.Function  # x -> n × m
     Gc: ca.Function  # ξ -> nc × m
@@ -102,6 +104,8 @@ def make_terms(loop: ClosedLoop, casimirs: Casimirs) -> Terms:
         m=plant.m,
         r=len(casimirs.functions),
         H=casadi_function("H", plant.x, [plant.H]),
+        grad_H=casadi_function("grad_H", plant.x, plant.grad_H),
+        F=casadi_function("F", plant.x, plant.J - plant.R),
         c=casadi_function("c", loop.z, list(casimirs.functions)),
         G=casadi_function("G", plant.x, plant.G),
         Gc=casadi_function("Gc", controller.xi, controller.Gc),
@@ -171,22 +175,15 @@ class LyapunovFunction:
         """(x, ξ) -> (u, ξ̇), the exported controller."""
         terms = self.terms
         x, xi = ca.MX.sym("x", terms.n), ca.MX.sym("xi", terms.nc)
-        return ca.Function(
-            "necc", [x, xi], list(self._control(x, xi)), ["x", "xi"], ["u", "xi_dot"]
-        )
-
-    def _control(self, x: ca.MX, xi: ca.MX) -> tuple[ca.MX, ca.MX]:
-        terms = self.terms
-        z = ca.vertcat(x, xi)
-        grad_V = ca.gradient(self(z), z)
-        grad_H = ca.gradient(terms.H(x), x)
+        V = self(ca.vertcat(x, xi))
+        grad_H = terms.grad_H(x)
         grad_Hc = ca.gradient(self.form.controller_energy(ca.DM(self.weights))(xi), xi)
         G, Gc = terms.G(x), terms.Gc(xi)
-        v = -ca.DM(self.D) @ (G.T @ grad_V[: terms.n])
-        v_c = -ca.DM(self.Dc) @ (Gc.T @ grad_V[terms.n :])
+        v = -ca.DM(self.D) @ (G.T @ ca.gradient(V, x))
+        v_c = -ca.DM(self.Dc) @ (Gc.T @ ca.gradient(V, xi))
         u = -Gc.T @ grad_Hc + v
         xi_dot = terms.Fc(xi) @ grad_Hc + Gc @ (G.T @ grad_H + v_c)
-        return u, xi_dot
+        return ca.Function("necc", [x, xi], [u, xi_dot], ["x", "xi"], ["u", "xi_dot"])
 
     @cached_property
     def vector_field(self) -> ca.Function:
@@ -194,9 +191,9 @@ class LyapunovFunction:
         terms = self.terms
         z = self._z()
         x, xi = z[: terms.n], z[terms.n :]
-        u, xi_dot = self._control(x, xi)
-        plant = terms.M(z)[: terms.n, : terms.n] @ ca.gradient(terms.H(x), x) + terms.G(x) @ u
-        return ca.Function("loop", [z], [ca.vertcat(plant, xi_dot)], ["z"], ["z_dot"])
+        u, xi_dot = self.control_law(x, xi)
+        x_dot = terms.F(x) @ terms.grad_H(x) + terms.G(x) @ u
+        return ca.Function("loop", [z], [ca.vertcat(x_dot, xi_dot)], ["z"], ["z_dot"])
 
     def linearisation(self, z: Vector) -> Vector:
         """∂ż/∂z at z, (n + nc) × (n + nc)."""
