@@ -455,7 +455,12 @@ class _Solver:
     ) -> dict[str, object]:
         """How IPOPT gets second derivatives: exact, Gauss–Newton in θ, or limited memory."""
         if self.mode == "soft":
-            return {"ipopt.hessian_approximation": "limited-memory"}
+            # A constant initial matrix: the scaled one tends to zero with the linear objective, and
+            # pivots of that size fill the factorisation.
+            return {
+                "ipopt.hessian_approximation": "limited-memory",
+                "ipopt.limited_memory_initialization": "constant",
+            }
         if self.problem.form.size <= EXACT_HESSIAN_WEIGHTS:
             return {}
         multiplier_f, multiplier_g = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", g.numel())
