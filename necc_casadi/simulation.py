@@ -27,6 +27,7 @@ class Trajectory:
     u: Vector  # (N, m) inputs
     V: Vector  # (N,) Lyapunov function
     z_bar: Vector  # (n + nc,) where it should go
+    V_bar: float  # V(z̄)
     complete: bool  # False: the integrator gave up, the arrays end there
 
     @property
@@ -122,5 +123,11 @@ def simulate(
     inputs = [np.asarray(V.control_law(s[: V.terms.n], s[V.terms.n :])[0], float).ravel() for s in states]
     values = [float(V.V(s)) for s in states]
     return Trajectory(
-        grid[: len(states)], states, np.array(inputs), np.array(values), design.z_bar, complete
+        t=grid[: len(states)],
+        z=states,
+        u=np.array(inputs),
+        V=np.array(values),
+        z_bar=design.z_bar,
+        V_bar=design.V(design.z_bar),
+        complete=complete,
     )

@@ -18,7 +18,7 @@ from necc_casadi.networks import MonotonePhi, Network, Vector
 from necc_casadi.outcome import Start
 from necc_casadi.training import Scales, train
 
-__all__ = ["PAPER", "Options", "design", "natural_scales"]
+__all__ = ["Options", "design", "natural_scales", "paper_options"]
 
 #: Curvature asked for by default, as a share of the reference stiffness.
 _DEFAULT_A = 0.5
@@ -37,6 +37,7 @@ class Options:
     casimir_form: str = "joint"  # "sum": K(Σ βᵢ(cᵢ)), "joint": K(c₁, …, c_r)
     phi: str = "sum"  # "sum": Φ = H + Hc + C, "neural": MonotonePhi
     a: float | None = None
+    keep_a: bool = False  # ask for `a` even where no network can reach it
     D: Vector | None = None  # m × m
     Dc: Vector | None = None  # m × m
     natural_units: bool = True  # scale the networks to the plant's domain and energy
@@ -45,15 +46,16 @@ class Options:
     verbose: bool = False
 
 
-#: The published form (Section IV): plain tanh MLPs, Φ = H + Hc + C, a = 0.5, D = 5, Dc = 6.
-PAPER: Mapping[str, object] = {
-    "quadratic": False,
-    "casimir_form": "sum",
-    "a": 0.5,
-    "natural_units": False,
-    "D": 5.0,
-    "Dc": 6.0,
-}
+def paper_options(m: int) -> Options:
+    """The published form (Section IV): plain tanh MLPs, Φ = H + Hc + C, a = 0.5, D = 5, Dc = 6."""
+    return Options(
+        quadratic=False,
+        casimir_form="sum",
+        a=0.5,
+        natural_units=False,
+        D=5.0 * np.eye(m),
+        Dc=6.0 * np.eye(m),
+    )
 
 
 def design(
@@ -91,7 +93,7 @@ def design(
     scales = natural if options.natural_units else Scales(np.ones(len(loop.z)), 1.0)
     requested = options.a if options.a is not None else _default_a(natural, verdict)
     a = requested
-    if verdict.a_max is not None and requested >= verdict.a_max:
+    if verdict.a_max is not None and requested >= verdict.a_max and not options.keep_a:
         a = _BELOW_CEILING * verdict.a_max
     solution = train(
         terms,
@@ -194,9 +196,7 @@ def _damping(
     on the choice.
     """
     m = V.terms.m
-    given_D, given_Dc = (
-        None if value is None else np.asarray(value, float) * np.eye(m) for value in (options.D, options.Dc)
-    )
+    given_D, given_Dc = options.D, options.Dc
     if given_D is not None and given_Dc is not None:
         return given_D, given_Dc
     hessian = np.asarray(V.hessian(z_star), float)

@@ -12,7 +12,7 @@ from necc_casadi.expressions import parse_number
 from necc_casadi.networks import Vector
 from necc_casadi.plant import Plant
 
-__all__ = ["free_coordinates", "nearest_equilibrium", "parse_target", "solve_target"]
+__all__ = ["free_coordinates", "nearest_equilibrium", "parse_target", "solve_target", "target_from_model"]
 
 
 def parse_target(plant: Plant, text: str) -> dict[sp.Symbol, sp.Expr]:
@@ -37,6 +37,29 @@ def parse_target(plant: Plant, text: str) -> dict[sp.Symbol, sp.Expr]:
     if len(values) == plant.n:
         return dict(zip(plant.x, values, strict=True))
     return solve_target(plant, dict(zip(_free_for(plant, len(values), text), values, strict=True)))
+
+
+def target_from_model(plant: Plant, given: Mapping[str, sp.Expr]) -> dict[sp.Symbol, sp.Expr]:
+    """x* from the ``target`` of a model file, {state: value}.
+
+    Raises
+    ------
+    TargetError
+        As :func:`parse_target`.
+    """
+    symbols = dict(zip(plant.states, plant.x, strict=True))
+    for name, value in given.items():
+        if name not in symbols:
+            raise TargetError(
+                "target_value",
+                f"target names {name}, which is no state of the plant",
+                f"States: {', '.join(plant.states)}.",
+            )
+        if not value.is_number or value.is_real is not True:
+            raise TargetError(
+                "target_value", f"target[{name}] = {value} is not a real number", "Give a constant."
+            )
+    return solve_target(plant, {symbols[name]: value for name, value in given.items()})
 
 
 def _split(text: str) -> list[str]:
