@@ -53,9 +53,10 @@ def reachable_stability(
             return "asymptotic", None
     modes = at.silent_modes()
     if modes is not None:
-        family = _invariant_family(loop, functions, x_star, xi_star, lam, directions, modes)
-        if family is not None:
-            return "stable", family
+        for plane in [modes, *[modes[:, k] for k in range(modes.cols) if modes.cols > 1]]:
+            family = _invariant_family(loop, functions, x_star, xi_star, lam, directions, plane)
+            if family is not None:
+                return "stable", family
     return None, (
         "the linearisation has a mode that neither dissipation nor damping injection touches; "
         "whether nonlinear damping reaches it is not decided"

@@ -239,9 +239,9 @@ def _tidy(expr: sp.Expr) -> sp.Expr:
 def _primitive(row: Sequence[sp.Expr]) -> list[sp.Expr]:
     if not all(entry.is_Rational for entry in row):
         return list(row)
-    scale = sp.ilcm(1, *[entry.q for entry in row])
+    scale = math.lcm(*[int(entry.q) for entry in row])
     integers = [entry * scale for entry in row]
-    divisor = sp.igcd(*integers) or 1
+    divisor = math.gcd(*[int(entry) for entry in integers]) or 1
     first = next((entry for entry in integers if entry != 0), sp.Integer(1))
     return [entry / divisor * (1 if first > 0 else -1) for entry in integers]
 
