@@ -17,7 +17,7 @@ import sympy as sp
 from necc_casadi import exact as ex
 from necc_casadi.loop import ClosedLoop
 from necc_casadi.one_forms import integrated_kernel, primitive
-from necc_casadi.specialise import PRIMES, Residues, Unspecialised, nullspace, rank, values
+from necc_casadi.specialise import PRIMES, Residues, Unspecialised, nullspace, pivots, rank, values
 
 __all__ = ["Search", "find_closed_forms", "independent", "rates"]
 
@@ -48,12 +48,13 @@ class Search:
 
     @cached_property
     def columns(self) -> list[list[tuple[int, sp.Expr]]]:
-        """Nonzero entries (row, value) of each column of M."""
+        """Nonzero entries (row, value) of the columns of M that span its image generically."""
         M = self.loop.M
-        table: list[list[tuple[int, sp.Expr]]] = [[] for _ in range(M.cols)]
+        table: dict[int, list[tuple[int, sp.Expr]]] = {j: [] for j in pivots(values(list(M), 1)[0].reshape(M.shape))}
         for (i, j), entry in M.todok().items():
-            table[j].append((i, entry))
-        return table
+            if j in table:
+                table[j].append((i, entry))
+        return list(table.values())
 
     @cached_property
     def functions(self) -> list[sp.Expr]:
@@ -126,18 +127,18 @@ def _vocabularies(search: Search) -> Iterable[tuple[list[sp.Expr], str]]:
     variables, functions = list(search.support), search.functions
     single = _unique([*variables, *_with_constants(search, variables), *functions])
     yield single, "functions of the model"
-    yield [], "one-form"
-    pairs = _unique([*single, *_products(single, 2)])
-    yield pairs, "ansatz of degree 2"
-    trig = _trig_products(functions)
+    trig = _trig_products(functions, variables)
     if trig:
         yield _unique([*variables, *trig]), "trigonometric ansatz"
         yield _unique([*variables, *trig, *_times(variables, trig)]), "trigonometric ansatz"
+    pairs = _unique([*single, *_products(single, 2)])
+    yield pairs, "ansatz of degree 2"
     yield _unique([*single, *_products(single, 2), *_products(single, 3)]), "ansatz of degree 3"
     wider = _unique([*single, *search.energy_functions])
     yield _unique([*wider, *_products(wider, 2)]), "ansatz of degree 2"
     powers = [s**k for s in variables for k in range(1, 5)]
     yield _unique([*powers, *[p for d in (2, 3, 4) for p in _products(variables, d)]]), "polynomial"
+    yield [], "one-form"
 
 
 def _unique(words: Iterable[sp.Expr]) -> list[sp.Expr]:
@@ -154,9 +155,17 @@ def _times(left: Sequence[sp.Expr], right: Sequence[sp.Expr]) -> list[sp.Expr]:
     return [a * b for a in left for b in right]
 
 
-def _trig_products(functions: Sequence[sp.Expr]) -> list[sp.Expr]:
-    """Products with at most one sine or cosine of each angle, fewest factors first."""
-    angles = list(dict.fromkeys(f.args[0] for f in functions if isinstance(f, (sp.sin, sp.cos))))
+def _trig_products(
+    functions: Sequence[sp.Expr], variables: Sequence[sp.Symbol]
+) -> list[sp.Expr]:
+    """Products with at most one sine or cosine of each angle, fewest factors first.
+
+    Where angles occur at all, every state may be one: a yaw angle does not occur in M.
+    """
+    found = dict.fromkeys(f.args[0] for f in functions if isinstance(f, (sp.sin, sp.cos)))
+    angles = list(dict.fromkeys([*found, *variables]) if found else found)
+    if 3 ** len(angles) > _MOST_WORDS:
+        angles = list(found)
     if not angles or 3 ** len(angles) > _MOST_WORDS:
         return []
     choices = [(sp.Integer(1), sp.cos(a), sp.sin(a)) for a in angles]
@@ -245,7 +254,7 @@ def _null_vectors(search: Search, words: Sequence[sp.Expr]) -> list[list[sp.Rati
     if not words:
         return []
     per_point = max(1, search.loop.n - search.kernel_rank)
-    points = 2 * (len(words) // per_point) + 6
+    points = 13 * len(words) // (10 * per_point) + 6
     tables = [_system(search, words, points, prime) for prime in PRIMES[:_PRIMES_USED]]
     return nullspace(tables)
 
@@ -262,7 +271,7 @@ def _system(search: Search, words: Sequence[sp.Expr], points: int, prime: int) -
     gradient = np.zeros((points, len(z), len(words)), dtype=np.int64)
     for at, (k, i, _) in enumerate(slopes):
         gradient[:, i, k] = residues[:, at]
-    result = np.zeros((points, len(z), len(words)), dtype=np.int64)
+    result = np.zeros((points, len(search.columns), len(words)), dtype=np.int64)
     for at, (i, j, _) in enumerate(entries):
         weight = residues[:, len(slopes) + at][:, None]
         result[:, j, :] = (result[:, j, :] + weight * gradient[:, i, :]) % prime

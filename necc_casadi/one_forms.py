@@ -38,7 +38,7 @@ def primitive(f: sp.Expr, s: sp.Symbol) -> sp.Expr | None:
 
 def integrated_kernel(loop: ClosedLoop) -> list[sp.Expr]:
     """Functions whose gradient is parallel to a vector of the kernel's reduced basis."""
-    if loop.n > _MOST_STATES:
+    if loop.n > _MOST_STATES or sum(e.count_ops() for e in loop.M) > _MOST_OPERATIONS // 2:
         return []
     basis = ex.kernel(sp.Matrix(loop.M).T)
     found = []

@@ -21,7 +21,7 @@ import sympy as sp
 
 from necc_casadi.errors import NeccError
 
-__all__ = ["PRIMES", "Unspecialised", "nullspace", "rank", "real_rank", "values"]
+__all__ = ["PRIMES", "Unspecialised", "nullspace", "pivots", "rank", "real_rank", "values"]
 
 Residues = npt.NDArray[np.int64]
 
