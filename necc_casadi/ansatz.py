@@ -17,7 +17,7 @@ import sympy as sp
 from necc_casadi import exact as ex
 from necc_casadi.loop import ClosedLoop
 from necc_casadi.one_forms import integrated_kernel, primitive
-from necc_casadi.specialise import PRIMES, Residues, Unspecialised, nullspace, pivots, rank, values
+from necc_casadi.specialise import Residues, Unspecialised, nullspace, pivots, rank, values
 
 __all__ = ["Search", "find_closed_forms", "independent", "rates"]
 
@@ -253,29 +253,38 @@ def _null_vectors(search: Search, words: Sequence[sp.Expr]) -> list[list[sp.Rati
     """Rational a with ∇(Σ aₖφₖ)ᵀM = 0 at random points of several finite fields."""
     if not words:
         return []
-    per_point = max(1, search.loop.n - search.kernel_rank)
+    per_point = max(1, len(search.support) - search.kernel_rank)
     points = 13 * len(words) // (10 * per_point) + 6
-    tables = [_system(search, words, points, prime) for prime in PRIMES[:_PRIMES_USED]]
-    return nullspace(tables)
-
-
-def _system(search: Search, words: Sequence[sp.Expr], points: int, prime: int) -> Residues:
-    """Rows (point, column j of M), columns k: Σᵢ Mᵢⱼ ∂ᵢφₖ."""
     z = search.loop.z
     place = {s: i for i, s in enumerate(z)}
     slopes = [(k, place[s], sp.diff(w, s)) for k, w in enumerate(words) for s in w.free_symbols]
-    entries = [(i, j, e) for j, column in enumerate(search.columns) for i, e in column]
     used = {i for _, i, _ in slopes}
-    entries = [t for t in entries if t[0] in used]
+    entries = [(i, j, e) for j, column in enumerate(search.columns) for i, e in column if i in used]
+    shape = (points, len(z), len(search.columns), len(words))
+    return nullspace(lambda prime: _system(slopes, entries, shape, prime), _PRIMES_USED)
+
+
+def _system(
+    slopes: Sequence[tuple[int, int, sp.Expr]],
+    entries: Sequence[tuple[int, int, sp.Expr]],
+    shape: tuple[int, int, int, int],
+    prime: int,
+) -> Residues:
+    """Rows (point, column j of M), columns k: Σᵢ Mᵢⱼ ∂ᵢφₖ.
+
+    `slopes` holds (k, i, ∂ᵢφₖ), `entries` holds (i, j, Mᵢⱼ), `shape` the numbers of points, of
+    states, of columns j and of functions φ.
+    """
+    points, states, columns, words = shape
     residues = values([e for *_, e in slopes] + [e for *_, e in entries], points, prime=prime)
-    gradient = np.zeros((points, len(z), len(words)), dtype=np.int64)
+    gradient = np.zeros((points, states, words), dtype=np.int64)
     for at, (k, i, _) in enumerate(slopes):
         gradient[:, i, k] = residues[:, at]
-    result = np.zeros((points, len(search.columns), len(words)), dtype=np.int64)
+    result = np.zeros((points, columns, words), dtype=np.int64)
     for at, (i, j, _) in enumerate(entries):
         weight = residues[:, len(slopes) + at][:, None]
         result[:, j, :] = (result[:, j, :] + weight * gradient[:, i, :]) % prime
-    flat = result.reshape(-1, len(words))
+    flat = result.reshape(-1, words)
     return flat[np.any(flat != 0, axis=1)] if np.any(flat) else flat[:1]
 
 

@@ -11,7 +11,7 @@ balls at a real point, :func:`real_rank`).
 from __future__ import annotations
 
 import random
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import flint
@@ -231,25 +231,21 @@ def _modular_nullspace(matrix: Residues, prime: int) -> tuple[list[int], npt.NDA
     return free, basis
 
 
-def nullspace(tables: Sequence[Residues]) -> list[list[sp.Rational | None]]:
-    """Rational vectors v with T·v = 0, from the same table T over the first primes of PRIMES.
+def nullspace(table: Callable[[int], Residues], primes: int) -> list[list[sp.Rational]]:
+    """Rational vectors v with T·v = 0, from the residues `table(p)` of T for several primes p.
 
     Vector k has entry 1 at the k-th free column and is supported on columns before it. Entries
     are reconstructed from their residues; a vector that does not come out rational is dropped.
     """
-    combined: npt.NDArray[Any] | None = None
-    modulus = 1
-    shape: list[int] = []
-    for table, prime in zip(tables, PRIMES, strict=False):
-        free, basis = _modular_nullspace(table, prime)
-        if combined is None:
-            combined, modulus, shape = basis, prime, free
-        elif free == shape:
+    free, combined = _modular_nullspace(table(PRIMES[0]), PRIMES[0])
+    modulus = PRIMES[0]
+    for prime in PRIMES[1:primes] if free else ():
+        same, basis = _modular_nullspace(table(prime), prime)
+        if same == free:
             lift = (basis - combined) * pow(modulus, -1, prime) % prime
             combined, modulus = combined + modulus * lift, modulus * prime
-    vectors = [] if combined is None else combined.tolist()
-    rational = [[_reconstruct(v, modulus) for v in row] for row in vectors]
-    return [row for row in rational if None not in row]
+    rational = [[_reconstruct(v, modulus) for v in row] for row in combined.tolist()]
+    return [[v for v in row if v is not None] for row in rational if None not in row]
 
 
 def _reconstruct(residue: int, modulus: int) -> sp.Rational | None:
