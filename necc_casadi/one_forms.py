@@ -26,14 +26,25 @@ def primitive(f: sp.Expr, s: sp.Symbol) -> sp.Expr | None:
     if f.count_ops() > _MOST_OPERATIONS:
         return None
     try:
-        result = manualintegrate(f, s)
+        result = _rational_primitive(f, s)
+        if result is None:
+            result = manualintegrate(f, s)
     except (RecursionError, NotImplementedError, ValueError, TypeError, AttributeError):
         return None  # sympy's rules do not cover this integrand
-    if result.has(sp.Integral, sp.Piecewise, sp.I, sp.zoo, sp.nan) or result.atoms(
-        sp.Function
-    ) & set(result.atoms(sp.erf, sp.Si, sp.Ci)):
+    unusable = (sp.Integral, sp.Piecewise, sp.RootSum, sp.I, sp.zoo, sp.nan, sp.erf, sp.Si, sp.Ci)
+    return None if result.has(*unusable) else result.replace(sp.Abs, lambda a: a)
+
+
+def _rational_primitive(f: sp.Expr, s: sp.Symbol) -> sp.Expr | None:
+    if not f.is_rational_function(s):
         return None
-    return result.replace(sp.Abs, lambda a: a)
+    powers = sp.factor(f)
+    coefficient, rest = powers.as_independent(s, as_Add=False)
+    base, exponent = rest.as_base_exp()
+    slope = sp.diff(base, s)
+    if not slope.has(s) and slope != 0 and exponent != -1:
+        return coefficient * base ** (exponent + 1) / (slope * (exponent + 1))
+    return sp.ratint(f, s)
 
 
 def integrated_kernel(loop: ClosedLoop) -> list[sp.Expr]:
