@@ -20,6 +20,7 @@ __all__ = ["SweepPoint", "lyapunov_figure", "responses_figure", "sweep_figure", 
 
 _INK, _TARGET, _MINIMUM = "#1f4e79", "#d9730d", "#2e7d32"
 _GRID = 81
+_MOST_PANELS = 10
 
 
 @dataclass(frozen=True)
@@ -110,24 +111,25 @@ def _levels(values: Vector) -> Vector:
 
 def responses_figure(design: Design, trajectories: Sequence[Trajectory]) -> Figure:
     """Every state and input over time, targets dashed, and V along the responses."""
-    names = [_label(design, k) for k in range(len(design.loop.states))]
-    inputs = design.loop.plant.m
+    shown = _telling_states(design, trajectories)
+    names = [_label(design, k) for k in shown]
+    inputs = min(design.loop.plant.m, _MOST_PANELS)
     panels = len(names) + inputs + 1
     columns = min(3, panels)
     rows = -(-panels // columns)
     figure = Figure(figsize=(3.6 * columns, 2.1 * rows + 0.5), layout="constrained")
-    figure.suptitle(f"{design.loop.plant.name}: closed-loop responses")
+    total = len(design.loop.states)
+    left_out = f" ({len(shown)} of {total} states)" if len(shown) < total else ""
+    figure.suptitle(f"{design.loop.plant.name}: closed-loop responses{left_out}")
     axes = figure.subplots(rows, columns, squeeze=False, sharex=True).ravel()
     steady, _ = design.control(
         design.z_bar[: design.loop.plant.n], design.z_bar[design.loop.plant.n :]
     )
     for k, axis in enumerate(axes[:panels]):
         for response in trajectories:
-            axis.plot(
-                response.t, _panel(response, k, len(names), inputs), lw=0.9, color=_INK, alpha=0.7
-            )
+            axis.plot(response.t, _panel(response, k, shown, inputs), lw=0.9, color=_INK, alpha=0.7)
         if k < len(names):
-            axis.axhline(design.z_star[k], ls="--", lw=1, color=_TARGET)
+            axis.axhline(design.z_star[shown[k]], ls="--", lw=1, color=_TARGET)
             axis.set_ylabel(names[k])
         elif k < len(names) + inputs:
             axis.axhline(steady[k - len(names)], ls="--", lw=1, color=_TARGET)
@@ -143,11 +145,20 @@ def responses_figure(design: Design, trajectories: Sequence[Trajectory]) -> Figu
     return figure
 
 
-def _panel(response: Trajectory, k: int, states: int, inputs: int) -> Vector:
-    if k < states:
-        return response.z[:, k]
-    if k < states + inputs:
-        return response.u[:, k - states]
+def _telling_states(design: Design, trajectories: Sequence[Trajectory]) -> list[int]:
+    """All states where they fit, else those that travel farthest, in order."""
+    total = len(design.loop.states)
+    if total <= _MOST_PANELS or not trajectories:
+        return list(range(min(total, _MOST_PANELS)))
+    travel = np.max([np.ptp(response.z, axis=0) for response in trajectories], axis=0)
+    return sorted(int(k) for k in np.argsort(-travel)[:_MOST_PANELS])
+
+
+def _panel(response: Trajectory, k: int, shown: list[int], inputs: int) -> Vector:
+    if k < len(shown):
+        return response.z[:, shown[k]]
+    if k < len(shown) + inputs:
+        return response.u[:, k - len(shown)]
     return np.maximum(response.V - response.V_bar, 1e-14)
 
 

@@ -129,9 +129,11 @@ def design(
 
 def _form(options: Options, nc: int, r: int) -> Form:
     def network(inputs: int, hidden: tuple[int, ...], quadratic: bool) -> Network:
+        if inputs == 0:  # no Casimir: C is a constant
+            return Network(0, ())
         return Network(inputs, hidden, options.activation, quadratic)
 
-    joint = options.casimir_form == "joint" or r == 1
+    joint = options.casimir_form == "joint" or r <= 1
     betas = () if joint else tuple(network(1, options.hidden_k, False) for _ in range(r))
     return Form(
         hc=network(nc, options.hidden_h, options.quadratic),
