@@ -74,7 +74,7 @@ def casadi_function(
     name: str, symbols: Sequence[sp.Symbol], matrix: sp.MatrixBase | Sequence[sp.Expr]
 ) -> ca.Function:
     """The CasADi Function  symbols (one vector) → matrix, scalar operations (SX) inside."""
-    matrix = sp.Matrix(matrix) if len(matrix) else sp.zeros(0, 1)
+    matrix = sp.Matrix(matrix)
     z = ca.SX.sym("z", len(symbols))
     values = {symbol: z[i] for i, symbol in enumerate(symbols)}
     cache: dict[sp.Expr, Any] = {}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import sympy as sp
@@ -82,6 +82,9 @@ def design(
         Called with the outcome of each start of the solver.
     """
     options = options or Options()
+    if not casimirs.functions:  # constants are Casimirs of every loop: C = K(0) keeps one form
+        casimirs = replace(casimirs, functions=(sp.Integer(0),))
+        options = replace(options, hidden_k=(1,))
     terms = make_terms(loop, casimirs)
     form = _form(options, terms.nc, terms.r)
     x = np.array([float(sp.N(x_star[s], 20)) for s in loop.plant.x])
@@ -129,11 +132,9 @@ def design(
 
 def _form(options: Options, nc: int, r: int) -> Form:
     def network(inputs: int, hidden: tuple[int, ...], quadratic: bool) -> Network:
-        if inputs == 0:  # no Casimir: C is a constant
-            return Network(0, ())
         return Network(inputs, hidden, options.activation, quadratic)
 
-    joint = options.casimir_form == "joint" or r <= 1
+    joint = options.casimir_form == "joint" or r == 1
     betas = () if joint else tuple(network(1, options.hidden_k, False) for _ in range(r))
     return Form(
         hc=network(nc, options.hidden_h, options.quadratic),
