@@ -91,8 +91,8 @@ def _damping(design: Design) -> Claim:
 def linearisation(potential: Potential, Z: Interval) -> Interval:
     """A = (M/Φ₁ − 𝒢𝒟𝒢ᵀ)∇²V over a box (N,) that holds z̄, where ∇V = 0; N × N."""
     design, loop = potential.design, potential.design.loop
-    M = matrix_enclosure(loop.M, loop.z, Z)
-    ports = matrix_enclosure(loop.ports, loop.z, Z)
+    M = matrix_enclosure(loop.M, loop.z, Z[None, :])[0]
+    ports = matrix_enclosure(loop.ports, loop.z, Z[None, :])[0]
     m = loop.plant.m
     damping = np.zeros((2 * m, 2 * m))
     damping[:m, :m], damping[m:, m:] = design.D, design.Dc
