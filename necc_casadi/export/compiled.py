@@ -1,0 +1,108 @@
+"""Compile the exported C here and run it through ctypes."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import re
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from necc_casadi.artifact import Design
+from necc_casadi.errors import OutputError
+from necc_casadi.export.source import export_c
+from necc_casadi.networks import Vector
+
+__all__ = ["CompiledController", "compile_controller", "find_compiler", "load_controller"]
+
+
+@dataclass(frozen=True, eq=False)
+class CompiledController:
+    """The exported controller as machine code; the caller keeps ξ, as in C."""
+
+    library: ctypes.CDLL
+    n: int  # plant states
+    nc: int  # controller states
+    m: int  # inputs
+    real: Any  # ctypes.c_double or ctypes.c_float
+
+    def control(self, x: Sequence[float], xi: Sequence[float]) -> tuple[Vector, Vector]:
+        """``necc_control``: plant state (n,), controller state (nc,) -> u (m,), ξ̇ (nc,)."""
+        u, xi_dot = (self.real * self.m)(), (self.real * self.nc)()
+        self.library.necc_control(self._array(x, self.n), self._array(xi, self.nc), u, xi_dot)
+        return np.array(u, float), np.array(xi_dot, float)
+
+    def init(self) -> Vector:
+        """``necc_init``: ξ at the designed equilibrium, (nc,)."""
+        xi = (self.real * self.nc)()
+        self.library.necc_init(xi)
+        return np.array(xi, float)
+
+    def step(
+        self, xi: Sequence[float], x: Sequence[float], dt: float
+    ) -> tuple[Vector, Vector, int]:
+        """``necc_step``: ξ (nc,), measured x (n,), dt in s -> u (m,), next ξ (nc,), flags."""
+        state, u = self._array(xi, self.nc), (self.real * self.m)()
+        flags = self.library.necc_step(state, self._array(x, self.n), u, self.real(dt))
+        return np.array(u, float), np.array(state, float), int(flags)
+
+    def _array(self, values: Sequence[float], length: int) -> Any:
+        return (self.real * length)(*(float(v) for v in values))
+
+
+def compile_controller(
+    design: Design, *, flags: Sequence[str] = ("-O2",), **options: Any
+) -> CompiledController:
+    """Export `design`, compile it and load it; `options` are those of :func:`export_c`.
+
+    Raises
+    ------
+    OutputError
+        When no C compiler is found, or it fails.
+    """
+    with tempfile.TemporaryDirectory(prefix="necc-") as folder:
+        export_c(design, Path(folder), **options)
+        return load_controller(Path(folder), flags=flags)
+
+
+def load_controller(
+    folder: Path, *, compiler: str | None = None, flags: Sequence[str] = ("-O2",)
+) -> CompiledController:
+    """Compile ``necc.c`` of `folder` (OUT/c) in a temporary folder and load it.
+
+    Raises
+    ------
+    OutputError
+        When no C compiler is found, or it fails.
+    """
+    compiler = compiler or find_compiler()
+    remedy = "Install gcc or clang, or name one in the environment variable CC."
+    if compiler is None:
+        raise OutputError("output", "no C compiler was found", remedy)
+    header = (Path(folder) / "necc.h").read_text(encoding="utf-8")
+    sizes = {name: int(size) for name, size in re.findall(r"#define NECC_(N\w+) (\d+)", header)}
+    real = ctypes.c_float if "typedef float" in header else ctypes.c_double
+    with tempfile.TemporaryDirectory(prefix="necc-") as build:
+        target = Path(build) / "necc.so"
+        command = [compiler, "-std=c99", "-ffp-contract=off", *flags, "-shared", "-fPIC"]
+        command += [str(Path(folder) / "necc.c"), "-o", str(target), "-lm"]
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        if done.returncode != 0:
+            first = done.stderr.strip().splitlines()[:1] or ["it said nothing"]
+            raise OutputError("output", f"{compiler} failed: {first[0]}", remedy)
+        library = ctypes.CDLL(str(target))
+    library.necc_init.restype = library.necc_control.restype = None
+    return CompiledController(library, sizes["NX"], sizes["NXI"], sizes["NU"], real)
+
+
+def find_compiler() -> str | None:
+    """The C compiler of this machine: CC, else cc, gcc or clang; None without one."""
+    candidates = [os.environ.get("CC", ""), "cc", "gcc", "clang"]
+    return next((path for name in candidates if name and (path := shutil.which(name))), None)

@@ -1,0 +1,1 @@
+"""C and CMake texts with @names@ to fill in."""

@@ -1,0 +1,78 @@
+/* necc.c: see necc.h. */
+#include "necc.h"
+
+#include <float.h>
+#include <math.h>
+#include <stdint.h>
+#include <string.h>
+
+#if defined(__FAST_MATH__) || (defined(__FINITE_MATH_ONLY__) && __FINITE_MATH_ONLY__)
+#error "necc.c rounds by adding and tests for NaN: compile it without -ffast-math."
+#endif
+#if FLT_EVAL_METHOD == 1 || FLT_EVAL_METHOD == 2
+#error "necc.c needs arithmetic in its own type: on 32-bit x86 add -msse2 -mfpmath=sse."
+#endif
+
+#define LANES @lanes@
+#define WIDTH @width@ /* the widest layer, in whole LANES */
+#define R(literal) @literal@
+
+/* Weights, column by column. */
+
+@weights@
+
+@kernels@
+
+@networks@
+
+/* Plant terms. */
+
+@leaves@
+/* V = Phi(H + Hc, C) by its parts. */
+typedef struct {
+@parts@
+} shape_terms;
+
+static void shape(const necc_real x[NECC_NX], const necc_real xi[NECC_NXI], shape_terms *s)
+{
+@shape@
+}
+
+void necc_control(const necc_real x[NECC_NX], const necc_real xi[NECC_NXI],
+                  necc_real u[NECC_NU], necc_real xidot[NECC_NXI])
+{
+    shape_terms s;
+    shape(x, xi, &s);
+    control_law(x, xi, @law_arguments@, u, xidot);
+}
+
+static int all_finite(const necc_real *v, int count)
+{
+    int i;
+    for (i = 0; i < count; ++i)
+        if (!isfinite(v[i]))
+            return 0;
+    return 1;
+}
+
+@integrator@
+
+void necc_init(necc_state *state)
+{
+    static const necc_real xi[NECC_NXI] = {@xi_star@};
+    memcpy(state->xi, xi, sizeof xi);
+}
+
+int necc_step(necc_state *state, const necc_real x[NECC_NX], necc_real u[NECC_NU], necc_real dt)
+{
+    necc_real v[NECC_NU], next[NECC_NXI];
+    memset(u, 0, NECC_NU * sizeof *u);
+    if (!(dt >= R(0.0)) || !all_finite(x, NECC_NX) || !all_finite(state->xi, NECC_NXI))
+        return NECC_REJECTED;
+    advance(x, state->xi, dt, v, next);
+    if (!all_finite(v, NECC_NU) || !all_finite(next, NECC_NXI))
+        return NECC_REJECTED;
+    memcpy(state->xi, next, sizeof next);
+    memcpy(u, v, sizeof v);
+    return NECC_OK;
+}

@@ -1,0 +1,53 @@
+/* necc.h: controller of @title@, held at @target@.
+ *
+ *   u  = -Gc' grad Hc - D G' dV/dx
+ *   xi' = (Jc - Rc) grad Hc + Gc (y - Dc Gc' dV/dxi),  y = G' grad H(x)
+ *
+ * Everything here is reentrant: no heap, no globals, no state but the caller's.
+ *
+ * What is claimed of this design@claims@
+ */
+#ifndef NECC_H
+#define NECC_H
+
+#define NECC_INTERFACE 1 /* version of the functions below */
+#define NECC_DESIGN "@design_hash@"
+@certificate_define@
+#define NECC_NX @n@ /* plant states */
+#define NECC_NXI @nc@ /* controller states */
+#define NECC_NU @m@ /* inputs */
+@sample_define@
+/* Order and units:
+@order@
+ */
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+typedef @real@ necc_real;
+
+typedef struct {
+    necc_real xi[NECC_NXI];
+} necc_state;
+
+/* Flags that necc_step returns, added; 0 when there is nothing to report. */
+#define NECC_OK 0
+#define NECC_REJECTED 2 /* x, xi or dt not finite, dt < 0, or overflow: u = 0, state kept */
+
+/* xi at the designed equilibrium. */
+void necc_init(necc_state *state);
+
+/* The control law and the controller's dynamics at (x, xi); pure. */
+void necc_control(const necc_real x[NECC_NX], const necc_real xi[NECC_NXI],
+                  necc_real u[NECC_NU], necc_real xidot[NECC_NXI]);
+
+/* One sample: u from the measured x and the present xi; then xi advances by dt with x held
+ * (@integrator_name@). Apply u until the next sample. Returns the flags above. */
+int necc_step(necc_state *state, const necc_real x[NECC_NX], necc_real u[NECC_NU], necc_real dt);
+
+#ifdef __cplusplus
+}
+#endif
+
+#endif

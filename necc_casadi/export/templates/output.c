@@ -1,0 +1,39 @@
+/* Networks. A vector and its derivatives along each input of the network travel together, as
+ * streams of WIDTH numbers each: stream 0 is the value. Weights lie column by column, so that
+ * the inner loops run over LANES neighbours and a compiler vectorises them without reordering
+ * a sum: the result does not depend on the vector length.
+ */
+/* Stream 0 is v, stream 1 + i its derivative along v[i]; zeros up to `columns`. */
+static void start(const necc_real *v, int inputs, int columns, necc_real *in)
+{
+    int i, j;
+    for (j = 0; j < columns; ++j) {
+        in[j] = j < inputs ? v[j] : R(0.0);
+        for (i = 0; i < inputs; ++i)
+            in[(1 + i) * WIDTH + j] = i == j ? R(1.0) : R(0.0);
+    }
+}
+
+/* w.v, added in LANES partial sums that are then added in halves. */
+static necc_real dot(const necc_real *restrict w, int columns, const necc_real *restrict v)
+{
+    necc_real sum[LANES] = {0};
+    int p, k, half;
+    for (p = 0; p < columns; p += LANES)
+        for (k = 0; k < LANES; ++k)
+            sum[k] += w[p + k] * v[p + k];
+    for (half = LANES / 2; half > 0; half /= 2)
+        for (k = 0; k < half; ++k)
+            sum[k] += sum[k + half];
+    return sum[0];
+}
+
+/* The last layer: its value, and its derivative along each input. w ends with the bias. */
+static necc_real output(const necc_real *w, int columns, int inputs, const necc_real *in,
+                        necc_real *slope)
+{
+    int i;
+    for (i = 0; i < inputs; ++i)
+        slope[i] = dot(w, columns, in + (1 + i) * WIDTH);
+    return dot(w, columns, in) + w[columns];
+}

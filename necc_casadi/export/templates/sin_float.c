@@ -1,0 +1,39 @@
+/* sin of LANES numbers and its derivative cos, without a library call while |x| <= 5000.
+ *
+ * x = n pi/2 + r, pi/2 in three parts (Cody and Waite) so that n times the first two is exact;
+ * then the Taylor polynomials on |r| <= pi/4, exchanged and signed by the two low bits of n.
+ */
+static void activate_sin(necc_real *restrict a, necc_real *restrict slope)
+{
+    const float shift = 12582912.0f;
+    float r[LANES], scale[LANES];
+    uint32_t bits[LANES];
+    int k, large = 0;
+    for (k = 0; k < LANES; ++k)
+        large |= fabsf(a[k]) > 5000.0f;
+    if (large) {
+        for (k = 0; k < LANES; ++k) {
+            slope[k] = cosf(a[k]);
+            a[k] = sinf(a[k]);
+        }
+        return;
+    }
+    for (k = 0; k < LANES; ++k)
+        scale[k] = a[k] * 0.63661975f + shift;
+    memcpy(bits, scale, sizeof bits);
+    for (k = 0; k < LANES; ++k) {
+        const float n = scale[k] - shift;
+        r[k] = ((a[k] - n * 1.5703125f) - n * 0.0004837513f) - n * 7.54979e-08f;
+    }
+    for (k = 0; k < LANES; ++k) {
+        const float s = r[k] * r[k];
+        const float sine = r[k] + r[k] * s * (-1.0f / 6.0f + s * (1.0f / 120.0f
+            + s * (-1.0f / 5040.0f + s * (1.0f / 362880.0f))));
+        const float cosine = 1.0f + s * (-1.0f / 2.0f + s * (1.0f / 24.0f + s * (-1.0f / 720.0f
+            + s * (1.0f / 40320.0f))));
+        const float value = (bits[k] & 1u) != 0 ? cosine : sine;
+        const float other = (bits[k] & 1u) != 0 ? sine : cosine;
+        a[k] = (bits[k] & 2u) != 0 ? -value : value;
+        slope[k] = ((bits[k] + 1u) & 2u) != 0 ? -other : other;
+    }
+}
