@@ -50,7 +50,9 @@ class Search:
     def columns(self) -> list[list[tuple[int, sp.Expr]]]:
         """Nonzero entries (row, value) of the columns of M that span its image generically."""
         M = self.loop.M
-        table: dict[int, list[tuple[int, sp.Expr]]] = {j: [] for j in pivots(values(list(M), 1)[0].reshape(M.shape))}
+        table: dict[int, list[tuple[int, sp.Expr]]] = {
+            j: [] for j in pivots(values(list(M), 1)[0].reshape(M.shape))
+        }
         for (i, j), entry in M.todok().items():
             if j in table:
                 table[j].append((i, entry))
@@ -155,9 +157,7 @@ def _times(left: Sequence[sp.Expr], right: Sequence[sp.Expr]) -> list[sp.Expr]:
     return [a * b for a in left for b in right]
 
 
-def _trig_products(
-    functions: Sequence[sp.Expr], variables: Sequence[sp.Symbol]
-) -> list[sp.Expr]:
+def _trig_products(functions: Sequence[sp.Expr], variables: Sequence[sp.Symbol]) -> list[sp.Expr]:
     """Products with at most one sine or cosine of each angle, fewest factors first.
 
     Where angles occur at all, every state may be one: a yaw angle does not occur in M.

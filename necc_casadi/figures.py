@@ -29,14 +29,15 @@ class SweepPoint:
     a: float
     loss: float  # ε
     distance: float  # ‖z̄ − z*‖
-    bound_paper: float  # ε/(a − ε), inf where a ≤ ε
-    bound_rigorous: float  # g/μ, inf where nothing was proved
+    bound_paper: float | None  # ε/(a − ε), None where a ≤ ε
+    bound_rigorous: float | None  # g/μ, None where nothing was proved
 
 
 def write_figure(figure: Figure, path: Path) -> Path:
     """Write a PNG whole or not at all."""
     buffer = io.BytesIO()
-    FigureCanvasAgg(figure).print_png(buffer)
+    FigureCanvasAgg(figure)
+    figure.savefig(buffer, format="png", dpi=120)
     return write_text(path, buffer.getvalue())
 
 
@@ -117,10 +118,14 @@ def responses_figure(design: Design, trajectories: Sequence[Trajectory]) -> Figu
     figure = Figure(figsize=(3.6 * columns, 2.1 * rows + 0.5), layout="constrained")
     figure.suptitle(f"{design.loop.plant.name}: closed-loop responses")
     axes = figure.subplots(rows, columns, squeeze=False, sharex=True).ravel()
-    steady, _ = design.control(design.z_bar[: design.loop.plant.n], design.z_bar[design.loop.plant.n :])
+    steady, _ = design.control(
+        design.z_bar[: design.loop.plant.n], design.z_bar[design.loop.plant.n :]
+    )
     for k, axis in enumerate(axes[:panels]):
         for response in trajectories:
-            axis.plot(response.t, _panel(response, k, len(names), inputs), lw=0.9, color=_INK, alpha=0.7)
+            axis.plot(
+                response.t, _panel(response, k, len(names), inputs), lw=0.9, color=_INK, alpha=0.7
+            )
         if k < len(names):
             axis.axhline(design.z_star[k], ls="--", lw=1, color=_TARGET)
             axis.set_ylabel(names[k])
@@ -169,7 +174,7 @@ def sweep_figure(design: Design, points: Sequence[SweepPoint]) -> Figure:
     )
     floor = 1e-17
     for label, values, style, color in series:
-        shown = [max(v, floor) if np.isfinite(v) else np.nan for v in values]
+        shown = [np.nan if v is None else max(v, floor) for v in values]
         axis.plot(a, shown, style, color=color, label=label, ms=5, lw=1.2)
     axis.set_yscale("log")
     axis.set_xlabel("a, curvature asked of ∇²V(z*)")

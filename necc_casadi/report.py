@@ -89,7 +89,9 @@ def design_block(design: Design, certificate: Certificate | None) -> dict[str, A
         "bound_paper": epsilon / (design.a - epsilon) if design.a > epsilon else None,
         "bound_rigorous": None if certificate is None else certificate.bound_rigorous,
         "spectral_abscissa": float(spectrum.real.max()),
-        "spectrum": [[float(v.real), float(v.imag)] for v in sorted(spectrum, key=lambda v: -v.real)],
+        "spectrum": [
+            [float(v.real), float(v.imag)] for v in sorted(spectrum, key=lambda v: -v.real)
+        ],
         "stability": None if certificate is None else certificate.stability,
         "D": design.D.tolist(),
         "Dc": design.Dc.tolist(),
@@ -177,7 +179,7 @@ def _finite(value: Any) -> Any:
     return value
 
 
-# --- plain text ------------------------------------------------------------------------------------
+# --- plain text -----------------------------------------------------------------------------
 
 
 def summary(found: Findings) -> str:

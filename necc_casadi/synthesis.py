@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
-import casadi as ca
 import numpy as np
 import sympy as sp
 
@@ -108,9 +107,7 @@ def design(
         verbose=options.verbose,
     )
     z_star = np.concatenate([x, solution.xi_star])
-    undamped = LyapunovFunction(
-        terms, form, solution.weights, np.eye(terms.m), np.eye(terms.m)
-    )
+    undamped = LyapunovFunction(terms, form, solution.weights, np.eye(terms.m), np.eye(terms.m))
     D, Dc = _damping(undamped, loop, z_star, options)
     made = Design(
         loop=loop,
@@ -214,7 +211,9 @@ def _damping(
             candidates.append((-np.linalg.eigvals(A).real.max(), d, dc, D, Dc))
     best = max(c[0] for c in candidates)
     threshold = _NEAR_BEST * best if best > 0 else best
-    _, _, _, D, Dc = min((c for c in candidates if c[0] >= threshold), key=lambda c: c[1] ** 2 * c[2])
+    _, _, _, D, Dc = min(
+        (c for c in candidates if c[0] >= threshold), key=lambda c: c[1] ** 2 * c[2]
+    )
     return _rounded(D), _rounded(Dc)
 
 
