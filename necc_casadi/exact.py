@@ -15,10 +15,11 @@ from functools import lru_cache
 import sympy as sp
 from sympy.polys.matrices import DomainMatrix
 
-from necc_casadi.specialise import Unspecialised, rank, real_rank, values
+from necc_casadi.specialise import Unspecialised, nullspace, rank, real_rank, values
 
 __all__ = [
     "blocks",
+    "constant_kernel",
     "generic_rank",
     "has_rank",
     "is_positive_semidefinite",
@@ -205,6 +206,33 @@ def kernel(matrix: sp.Matrix) -> sp.Matrix:
                 basis[k, lead] = -rows[i, j]
     reduced, _ = reduced_rows(basis)
     return sp.Matrix([_primitive(row) for row in reduced.tolist()]).T
+
+
+def constant_kernel(matrix: sp.Matrix) -> sp.Matrix:
+    """Basis of the constant v with matrix(z)·v ≡ 0, as columns, each one proved.
+
+    Reduced-echelon over the rationals, primitive integers, first nonzero coefficient positive;
+    for a constant matrix the same as :func:`kernel`.
+    """
+    if not matrix.free_symbols:
+        return kernel(matrix)
+    rows = [i for i in range(matrix.rows) if any(e != 0 for e in matrix[i, :])]
+    points = matrix.cols // len(rows) * 2 + 4
+    try:
+        vectors = nullspace(
+            lambda prime: values(list(matrix), points, prime=prime).reshape(-1, matrix.cols), 3
+        )
+    except Unspecialised:
+        vectors = []
+    if not vectors:
+        return sp.zeros(matrix.cols, 0)
+    basis = kernel(kernel(sp.Matrix(vectors)).T)
+    kept = [
+        basis[:, k]
+        for k in range(basis.cols)
+        if all(is_zero(entry) is True for entry in sp.SparseMatrix(matrix) * basis[:, k])
+    ]
+    return sp.Matrix.hstack(*kept) if kept else sp.zeros(matrix.cols, 0)
 
 
 def reduced_rows(matrix: sp.Matrix) -> tuple[sp.Matrix, list[int]]:

@@ -9,8 +9,10 @@ from collections.abc import Iterable, Sequence
 
 import sympy as sp
 from sympy.integrals.manualintegrate import manualintegrate
+from sympy.integrals.rationaltools import ratint
 
 from necc_casadi import exact as ex
+from necc_casadi.expressions import non_smooth_part
 from necc_casadi.loop import ClosedLoop
 
 __all__ = ["integrated_kernel", "primitive"]
@@ -29,10 +31,11 @@ def primitive(f: sp.Expr, s: sp.Symbol) -> sp.Expr | None:
         result = _rational_primitive(f, s)
         if result is None:
             result = manualintegrate(f, s)
-    except (RecursionError, NotImplementedError, ValueError, TypeError, AttributeError):
+    except (RecursionError, NotImplementedError, ValueError, TypeError):
         return None  # sympy's rules do not cover this integrand
-    unusable = (sp.Integral, sp.Piecewise, sp.RootSum, sp.I, sp.zoo, sp.nan, sp.erf, sp.Si, sp.Ci)
-    return None if result.has(*unusable) else result.replace(sp.Abs, lambda a: a)
+    result = result.replace(sp.Abs, lambda a: a)
+    unusable = result.has(sp.Integral, sp.I, sp.zoo, sp.nan) or non_smooth_part(result) is not None
+    return None if unusable else result
 
 
 def _rational_primitive(f: sp.Expr, s: sp.Symbol) -> sp.Expr | None:
@@ -44,7 +47,7 @@ def _rational_primitive(f: sp.Expr, s: sp.Symbol) -> sp.Expr | None:
     slope = sp.diff(base, s)
     if not slope.has(s) and slope != 0 and exponent != -1:
         return coefficient * base ** (exponent + 1) / (slope * (exponent + 1))
-    return sp.ratint(f, s)
+    return ratint(f, s)
 
 
 def integrated_kernel(loop: ClosedLoop) -> list[sp.Expr]:
