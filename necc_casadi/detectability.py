@@ -48,7 +48,9 @@ def reachable_stability(
     silent = _undamped_casimir(loop, functions)
     if silent is not None:
         return "stable", f"the Casimir {silent} is untouched by every input: its value stays"
-    resting = _equilibrium_manifold(loop, {**x_star, **dict(zip(loop.controller.xi, xi_star, strict=True))})
+    resting = _equilibrium_manifold(
+        loop, {**x_star, **dict(zip(loop.controller.xi, xi_star, strict=True))}
+    )
     if resting:
         return "stable", (
             f"a {resting}-dimensional family of equilibria passes through the target, for every V: "

@@ -34,7 +34,7 @@ import casadi as ca
 import numpy as np
 
 from necc_casadi.lyapunov import Form, Terms, value
-from necc_casadi.networks import MonotonePhi, Network, Vector
+from necc_casadi.networks import KAPPA_MIN, MonotonePhi, Network, Vector
 from necc_casadi.outcome import Start
 
 __all__ = ["Scales", "Solution", "train"]
@@ -102,6 +102,7 @@ def train(
     seed: int = 0,
     starts: int = 1,
     xi_guess: Vector | None = None,
+    kappa_min: float = KAPPA_MIN,
     report: Callable[[Start], None] | None = None,
     verbose: bool = False,
 ) -> Solution:
@@ -125,13 +126,15 @@ def train(
         Start i uses seed + i.
     xi_guess
         Where ξ* starts, (nc,); zeros by default. Later starts move away from it.
+    kappa_min
+        Least curvature of the quadratic parts, in natural units (energy/length²).
     report
         Called with the outcome of each start.
     verbose
         Print IPOPT's iterations.
     """
     guess = np.zeros(terms.nc) if xi_guess is None else np.asarray(xi_guess, float)
-    problem = _Problem(terms, form, np.asarray(x_star, float), a, scales, guess)
+    problem = _Problem(terms, form, np.asarray(x_star, float), a, scales, guess, kappa_min)
     results: list[tuple[Start, Vector, Vector]] = []
     for make_solver in (problem.hard, problem.soft):
         solver = make_solver(verbose)
@@ -192,10 +195,17 @@ class _Problem:
     """Everything that hard and soft form share: lifted variables, ∇V(z*), ∇²V(z*)."""
 
     def __init__(
-        self, terms: Terms, form: Form, x_star: Vector, a: float, scales: Scales, guess: Vector
+        self,
+        terms: Terms,
+        form: Form,
+        x_star: Vector,
+        a: float,
+        scales: Scales,
+        guess: Vector,
+        kappa_min: float,
     ) -> None:
         self.terms, self.form, self.x_star, self.a = terms, form, x_star, a
-        self.scales, self.guess = scales, guess
+        self.scales, self.guess, self.kappa_min = scales, guess, kappa_min
         self.jet_functions = [_jet_function(network) for network in form.networks]
         self.xi = ca.SX.sym("xi", terms.nc)
         self.jets = self._lift()
@@ -289,7 +299,7 @@ class _Problem:
         return self.jets_at(self.sigma * w_hat + self.tau, xi)
 
     def centred(self, w_hat: Vector, xi: Vector) -> Vector:
-        """ŵ with the centres of the quadratic parts at the networks' inputs at z*."""
+        """ŵ with the quadratic parts centred at the networks' inputs at z*, above their bound."""
         w_hat = w_hat.copy()
         bases = self.bases.call([self.small_at(w_hat, xi)])
         parts, units = self.form.split(w_hat), self.form.split(self.sigma)
@@ -297,6 +307,7 @@ class _Problem:
             if isinstance(network, Network) and network.quadratic:
                 d = network.inputs
                 part[-d:] = np.asarray(base, float).ravel() / unit[-d:]
+                part[-2 * d : -d] = np.maximum(part[-2 * d : -d], 1.1 * self.kappa_min)
         return w_hat
 
     def hard(self, verbose: bool) -> _Solver | None:
@@ -452,7 +463,7 @@ class _Solver:
             [
                 np.full(self.n_lifted, -np.inf),
                 lower,
-                np.concatenate([n.lower for n in problem.form.networks]),
+                *[network.lower(problem.kappa_min) for network in problem.form.networks],
             ]
         )
 
