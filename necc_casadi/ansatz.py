@@ -17,7 +17,15 @@ import sympy as sp
 from necc_casadi import exact as ex
 from necc_casadi.loop import ClosedLoop
 from necc_casadi.one_forms import integrated_kernel, primitive
-from necc_casadi.specialise import Residues, Unspecialised, nullspace, pivots, rank, values
+from necc_casadi.specialise import (
+    Residues,
+    Unspecialised,
+    null_basis,
+    nullspace,
+    pivots,
+    rank,
+    values,
+)
 
 __all__ = ["Search", "find_closed_forms", "independent", "rates"]
 
@@ -43,14 +51,16 @@ class Search:
         if self.kernel_rank == 0:
             return ()
         table = values(list(M), 1)[0].reshape(M.shape)
-        full = rank(table)
-        return tuple(s for i, s in enumerate(z) if rank(np.delete(table, i, axis=0)) == full)
+        basis = null_basis(table.T)
+        return tuple(s for i, s in enumerate(z) if np.any(basis[:, i]))
 
     @cached_property
     def columns(self) -> list[list[tuple[int, sp.Expr]]]:
         """Nonzero entries (row, value) of the columns of M that span its image generically."""
         M = self.loop.M
-        table: dict[int, list[tuple[int, sp.Expr]]] = {j: [] for j in pivots(values(list(M), 1)[0].reshape(M.shape))}
+        table: dict[int, list[tuple[int, sp.Expr]]] = {
+            j: [] for j in pivots(values(list(M), 1)[0].reshape(M.shape))
+        }
         for (i, j), entry in M.todok().items():
             if j in table:
                 table[j].append((i, entry))
@@ -154,9 +164,7 @@ def _times(left: Sequence[sp.Expr], right: Sequence[sp.Expr]) -> list[sp.Expr]:
     return [a * b for a in left for b in right]
 
 
-def _trig_products(
-    functions: Sequence[sp.Expr], variables: Sequence[sp.Symbol]
-) -> list[sp.Expr]:
+def _trig_products(functions: Sequence[sp.Expr], variables: Sequence[sp.Symbol]) -> list[sp.Expr]:
     """Products with at most one sine or cosine of each angle, fewest factors first.
 
     Where angles occur at all, every state may be one: a yaw angle does not occur in M.
@@ -241,12 +249,15 @@ def _solutions(search: Search, words: Sequence[sp.Expr]) -> list[sp.Expr]:
 
 
 def _normalised(c: sp.Expr, z: Sequence[sp.Symbol]) -> sp.Expr:
-    """Primitive integer coefficients; the first linear term positive, or the leading one."""
+    """First linear term with coefficient 1, as in q − ξ; else primitive integer coefficients."""
     content, part = c.primitive()
     c = sp.Add(*sp.Add.make_args(part)) if content != 0 else c
-    linear = [c.coeff(s) for s in z if s in sp.Add.make_args(c) or -s in sp.Add.make_args(c)]
-    negative = sp.sign(linear[0]) == -1 if linear else c.could_extract_minus_sign()
-    return -c if negative else c
+    terms = [t.as_coeff_Mul() for t in sp.Add.make_args(c)]
+    linear = {unit: coefficient for coefficient, unit in terms if unit in z}
+    if linear:
+        leading = next(linear[s] for s in z if s in linear)
+        return sp.Add(*[coefficient / leading * unit for coefficient, unit in terms])
+    return -c if c.could_extract_minus_sign() else c
 
 
 def _null_vectors(search: Search, words: Sequence[sp.Expr]) -> list[list[sp.Rational]]:

@@ -21,7 +21,16 @@ import sympy as sp
 
 from necc_casadi.errors import NeccError
 
-__all__ = ["PRIMES", "Unspecialised", "nullspace", "pivots", "rank", "real_rank", "values"]
+__all__ = [
+    "PRIMES",
+    "Unspecialised",
+    "null_basis",
+    "nullspace",
+    "pivots",
+    "rank",
+    "real_rank",
+    "values",
+]
 
 Residues = npt.NDArray[np.int64]
 
@@ -216,6 +225,11 @@ def pivots(matrix: Residues, prime: int = PRIMES[0]) -> list[int]:
     return [next(j for j, v in enumerate(table[i]) if int(v)) for i in range(size)]
 
 
+def null_basis(matrix: Residues, prime: int = PRIMES[0]) -> npt.NDArray[Any]:
+    """Basis of {v : matrix·v = 0} over GF(prime), one vector per row."""
+    return _modular_nullspace(matrix, prime)[1]
+
+
 def _modular_nullspace(matrix: Residues, prime: int) -> tuple[list[int], npt.NDArray[Any]]:
     """(free columns, basis rows): row k has 1 at its free column and pivot entries before it."""
     columns = matrix.shape[1]
@@ -244,8 +258,13 @@ def nullspace(table: Callable[[int], Residues], primes: int) -> list[list[sp.Rat
         if same == free:
             lift = (basis - combined) * pow(modulus, -1, prime) % prime
             combined, modulus = combined + modulus * lift, modulus * prime
-    rational = [[_reconstruct(v, modulus) for v in row] for row in combined.tolist()]
-    return [[v for v in row if v is not None] for row in rational if None not in row]
+    return rational_rows(combined, modulus)
+
+
+def rational_rows(basis: npt.NDArray[Any], prime: int = PRIMES[0]) -> list[list[sp.Rational]]:
+    """The rows whose residues are those of small fractions."""
+    rows = [[_reconstruct(int(v), prime) for v in row] for row in basis]
+    return [[v for v in row if v is not None] for row in rows if None not in row]
 
 
 def _reconstruct(residue: int, modulus: int) -> sp.Rational | None:

@@ -85,6 +85,8 @@ def _accepted(
 
 
 def _undecided(loop: ClosedLoop, casimirs: Casimirs, data: TargetData, local: Local) -> str:
+    if any(e.has(sp.zoo, sp.nan, sp.oo) for e in (*data.grad_H, *data.hess_H)):
+        return "not decided: H is not smooth at the target. Choose a target where it is."
     missing = casimirs.generic_count - len(casimirs.functions)
     if missing > 0:
         cause = (
@@ -175,8 +177,8 @@ def _dissipation_obstacle(
                     label = "R" if i < n else "Rc"
                     a, b = (i, j) if i < n else (i - n, j - n)
                     return (
-                        f"Dissipation obstacle: {label}[{a},{b}] = {short(loop.R[i, j])} dissipates "
-                        f"in {loop.z[j]}, which would have to be shaped. Remove that dissipation "
+                        f"Dissipation obstacle: {label}[{a},{b}] = {short(loop.R[i, j])} "
+                        f"dissipates in {loop.z[j]}, which would have to be shaped. Remove that dissipation "
                         "from the shaped coordinate, or choose a target at which it is at rest."
                     )
     return None
