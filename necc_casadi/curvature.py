@@ -237,7 +237,7 @@ def _maximise_least_eigenvalue(
         for _ in range(30):
             slack = Q0 + np.tensordot(tau, Q, 1) - t * np.eye(size)
             try:
-                dual = mu * np.linalg.inv(slack)
+                dual = np.asarray(mu * np.linalg.inv(slack), dtype=np.float64)
                 step, decrement = _newton_step(dual, Q, mu)
                 length = _feasible_length(slack, Q, step)
             except np.linalg.LinAlgError:  # as close to the boundary as rounding allows

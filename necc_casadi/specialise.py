@@ -221,8 +221,8 @@ def pivots(matrix: Residues, prime: int = PRIMES[0]) -> list[int]:
     if 0 in matrix.shape:
         return []
     reduced, size = _table(matrix, prime).rref()
-    table = reduced.tolist()
-    return [next(j for j, v in enumerate(table[i]) if int(v)) for i in range(size)]
+    entries = [int(v) != 0 for v in reduced.entries()[: size * matrix.shape[1]]]
+    return np.argmax(np.array(entries).reshape(size, -1), axis=1).tolist() if size else []
 
 
 def null_basis(matrix: Residues, prime: int = PRIMES[0]) -> npt.NDArray[Any]:
@@ -234,15 +234,14 @@ def _modular_nullspace(matrix: Residues, prime: int) -> tuple[list[int], npt.NDA
     """(free columns, basis rows): row k has 1 at its free column and pivot entries before it."""
     columns = matrix.shape[1]
     reduced, size = _table(matrix, prime).rref()
-    table = np.array([[int(v) for v in row] for row in reduced.tolist()[:size]], dtype=object)
-    leading = [next(j for j in range(columns) if table[i, j]) for i in range(size)]
-    free = [j for j in range(columns) if j not in set(leading)]
-    basis = np.zeros((len(free), columns), dtype=object)
-    for k, j in enumerate(free):
-        basis[k, j] = 1
-        for i, lead in enumerate(leading):
-            basis[k, lead] = -table[i, j] % prime
-    return free, basis
+    entries = [int(v) for v in reduced.entries()[: size * columns]]
+    table = np.array(entries, dtype=np.int64).reshape(size, columns)
+    leading = np.argmax(table != 0, axis=1) if size else np.zeros(0, dtype=np.int64)
+    free = np.setdiff1d(np.arange(columns), leading)
+    basis = np.zeros((len(free), columns), dtype=np.int64)
+    basis[np.arange(len(free)), free] = 1
+    basis[:, leading] = (-table[:, free] % prime).T
+    return free.tolist(), basis.astype(object)
 
 
 def nullspace(table: Callable[[int], Residues], primes: int) -> list[list[sp.Rational]]:
