@@ -50,7 +50,9 @@ class Search:
     def columns(self) -> list[list[tuple[int, sp.Expr]]]:
         """Nonzero entries (row, value) of the columns of M that span its image generically."""
         M = self.loop.M
-        table: dict[int, list[tuple[int, sp.Expr]]] = {j: [] for j in pivots(values(list(M), 1)[0].reshape(M.shape))}
+        table: dict[int, list[tuple[int, sp.Expr]]] = {
+            j: [] for j in pivots(values(list(M), 1)[0].reshape(M.shape))
+        }
         for (i, j), entry in M.todok().items():
             if j in table:
                 table[j].append((i, entry))
@@ -107,9 +109,8 @@ def find_closed_forms(
     if len(forms) >= wanted:
         return
     try:
-        variables = search.support
         if constant_only:
-            _adopt(search, forms, wanted, _linear(search, variables), "constant kernel")
+            forms.extend((c, "constant kernel") for c in _linear(search))
             return
         for words, origin in _vocabularies(search):
             if len(forms) >= wanted:
@@ -155,9 +156,7 @@ def _times(left: Sequence[sp.Expr], right: Sequence[sp.Expr]) -> list[sp.Expr]:
     return [a * b for a in left for b in right]
 
 
-def _trig_products(
-    functions: Sequence[sp.Expr], variables: Sequence[sp.Symbol]
-) -> list[sp.Expr]:
+def _trig_products(functions: Sequence[sp.Expr], variables: Sequence[sp.Symbol]) -> list[sp.Expr]:
     """Products with at most one sine or cosine of each angle, fewest factors first.
 
     Where angles occur at all, every state may be one: a yaw angle does not occur in M.
@@ -221,13 +220,14 @@ def _parts(entry: sp.Expr) -> Iterable[sp.Expr]:
             ]
 
 
-def _linear(search: Search, variables: Sequence[sp.Symbol]) -> list[sp.Expr]:
+def _linear(search: Search) -> list[sp.Expr]:
     """All constant v with vᵀM(z) ≡ 0, as vᵀz with the reduced-echelon basis."""
-    vectors = _null_vectors(search, variables)
-    if not vectors:
-        return []
-    basis = ex.kernel(ex.kernel(sp.Matrix(vectors)).T)
-    return [sp.Add(*[basis[i, k] * s for i, s in enumerate(variables)]) for k in range(basis.cols)]
+    z = search.loop.z
+    basis = ex.constant_kernel(sp.Matrix(search.loop.M).T)
+    return [
+        sp.Add(*[basis[i, k] * s for i, s in enumerate(z) if basis[i, k] != 0])
+        for k in range(basis.cols)
+    ]
 
 
 def _solutions(search: Search, words: Sequence[sp.Expr]) -> list[sp.Expr]:

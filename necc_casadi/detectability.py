@@ -23,6 +23,7 @@ __all__ = ["reachable_stability"]
 
 _PRIME = PRIMES[0]
 _TRIES = 3
+_SMALL = 14  # states beyond which a state-dependent kernel is not computed
 
 
 def reachable_stability(
@@ -47,6 +48,14 @@ def reachable_stability(
     silent = _undamped_casimir(loop, functions)
     if silent is not None:
         return "stable", f"the Casimir {silent} is untouched by every input: its value stays"
+    resting = _equilibrium_manifold(
+        loop, {**x_star, **dict(zip(loop.controller.xi, xi_star, strict=True))}
+    )
+    if resting:
+        return "stable", (
+            f"a {resting}-dimensional family of equilibria passes through the target, for every V: "
+            "ker Jcl ∩ ker Rcl ∩ ker 𝒢ᵀ is not zero"
+        )
     at = _Linearisation(loop, functions, x_star, xi_star, lam)
     for seed in range(_TRIES):
         if at.controllable(seed):
@@ -73,6 +82,23 @@ def _undamped_casimir(loop: ClosedLoop, functions: Sequence[sp.Expr]) -> sp.Expr
         if all(ex.is_zero(entry) for entry in rate):
             return c
     return None
+
+
+def _equilibrium_manifold(loop: ClosedLoop, z_star: Mapping[sp.Symbol, sp.Expr]) -> int:
+    """Dimension of ker Jcl ∩ ker Rcl ∩ ker 𝒢ᵀ near z*, 0 where it is not proved to be constant.
+
+    The states with ∇V in that kernel are equilibria of every damped loop; because ∇²V ≻ 0 and
+    the kernel's dimension is constant near z*, they form a manifold of that dimension.
+    """
+    still = sp.Matrix.vstack(sp.Matrix(loop.M), sp.Matrix(loop.ports).T)
+    free = still.free_symbols
+    generic = loop.n - ex.generic_rank(still)
+    if generic == 0 or (free and loop.n > _SMALL):
+        return 0
+    there = evaluated(still, z_star) if free else still
+    if free and not ex.has_rank(there, loop.n - generic):
+        return 0
+    return generic if ex.kernel(still).cols == generic else 0
 
 
 class _Linearisation:

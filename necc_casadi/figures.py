@@ -20,6 +20,7 @@ __all__ = ["SweepPoint", "lyapunov_figure", "responses_figure", "sweep_figure", 
 
 _INK, _TARGET, _MINIMUM = "#1f4e79", "#d9730d", "#2e7d32"
 _GRID = 81
+_MOST_PANELS = 10
 
 
 @dataclass(frozen=True)
@@ -29,14 +30,15 @@ class SweepPoint:
     a: float
     loss: float  # ε
     distance: float  # ‖z̄ − z*‖
-    bound_paper: float  # ε/(a − ε), inf where a ≤ ε
-    bound_rigorous: float  # g/μ, inf where nothing was proved
+    bound_paper: float | None  # ε/(a − ε), None where a ≤ ε
+    bound_rigorous: float | None  # g/μ, None where nothing was proved
 
 
 def write_figure(figure: Figure, path: Path) -> Path:
     """Write a PNG whole or not at all."""
     buffer = io.BytesIO()
-    FigureCanvasAgg(figure).print_png(buffer)
+    FigureCanvasAgg(figure)
+    figure.savefig(buffer, format="png", dpi=120)
     return write_text(path, buffer.getvalue())
 
 
@@ -109,20 +111,25 @@ def _levels(values: Vector) -> Vector:
 
 def responses_figure(design: Design, trajectories: Sequence[Trajectory]) -> Figure:
     """Every state and input over time, targets dashed, and V along the responses."""
-    names = [_label(design, k) for k in range(len(design.loop.states))]
-    inputs = design.loop.plant.m
+    shown = _telling_states(design, trajectories)
+    names = [_label(design, k) for k in shown]
+    inputs = min(design.loop.plant.m, _MOST_PANELS)
     panels = len(names) + inputs + 1
     columns = min(3, panels)
     rows = -(-panels // columns)
     figure = Figure(figsize=(3.6 * columns, 2.1 * rows + 0.5), layout="constrained")
-    figure.suptitle(f"{design.loop.plant.name}: closed-loop responses")
+    total = len(design.loop.states)
+    left_out = f" ({len(shown)} of {total} states)" if len(shown) < total else ""
+    figure.suptitle(f"{design.loop.plant.name}: closed-loop responses{left_out}")
     axes = figure.subplots(rows, columns, squeeze=False, sharex=True).ravel()
-    steady, _ = design.control(design.z_bar[: design.loop.plant.n], design.z_bar[design.loop.plant.n :])
+    steady, _ = design.control(
+        design.z_bar[: design.loop.plant.n], design.z_bar[design.loop.plant.n :]
+    )
     for k, axis in enumerate(axes[:panels]):
         for response in trajectories:
-            axis.plot(response.t, _panel(response, k, len(names), inputs), lw=0.9, color=_INK, alpha=0.7)
+            axis.plot(response.t, _panel(response, k, shown, inputs), lw=0.9, color=_INK, alpha=0.7)
         if k < len(names):
-            axis.axhline(design.z_star[k], ls="--", lw=1, color=_TARGET)
+            axis.axhline(design.z_star[shown[k]], ls="--", lw=1, color=_TARGET)
             axis.set_ylabel(names[k])
         elif k < len(names) + inputs:
             axis.axhline(steady[k - len(names)], ls="--", lw=1, color=_TARGET)
@@ -138,11 +145,20 @@ def responses_figure(design: Design, trajectories: Sequence[Trajectory]) -> Figu
     return figure
 
 
-def _panel(response: Trajectory, k: int, states: int, inputs: int) -> Vector:
-    if k < states:
-        return response.z[:, k]
-    if k < states + inputs:
-        return response.u[:, k - states]
+def _telling_states(design: Design, trajectories: Sequence[Trajectory]) -> list[int]:
+    """All states where they fit, else those that travel farthest, in order."""
+    total = len(design.loop.states)
+    if total <= _MOST_PANELS or not trajectories:
+        return list(range(min(total, _MOST_PANELS)))
+    travel = np.max([np.ptp(response.z, axis=0) for response in trajectories], axis=0)
+    return sorted(int(k) for k in np.argsort(-travel)[:_MOST_PANELS])
+
+
+def _panel(response: Trajectory, k: int, shown: list[int], inputs: int) -> Vector:
+    if k < len(shown):
+        return response.z[:, shown[k]]
+    if k < len(shown) + inputs:
+        return response.u[:, k - len(shown)]
     return np.maximum(response.V - response.V_bar, 1e-14)
 
 
@@ -169,7 +185,7 @@ def sweep_figure(design: Design, points: Sequence[SweepPoint]) -> Figure:
     )
     floor = 1e-17
     for label, values, style, color in series:
-        shown = [max(v, floor) if np.isfinite(v) else np.nan for v in values]
+        shown = [np.nan if v is None else max(v, floor) for v in values]
         axis.plot(a, shown, style, color=color, label=label, ms=5, lw=1.2)
     axis.set_yscale("log")
     axis.set_xlabel("a, curvature asked of ∇²V(z*)")

@@ -18,7 +18,13 @@ import sympy as sp
 
 from necc_casadi.errors import InputError, ModelError, OptionError
 from necc_casadi.expressions import exact, parse_number
-from necc_casadi.loop import ClosedLoop, Controller, default_controller, interconnect, make_controller
+from necc_casadi.loop import (
+    ClosedLoop,
+    Controller,
+    default_controller,
+    interconnect,
+    make_controller,
+)
 from necc_casadi.networks import Vector
 from necc_casadi.plant import make_plant
 
@@ -262,9 +268,12 @@ def _damping(value: Any, m: int, label: str, read: Any) -> Vector | None:
     if value is None:
         return None
     try:
-        numbers = np.array(sp.Matrix(sp.sympify(read(value))).evalf()
-                           if isinstance(value, (list, tuple, sp.MatrixBase, np.ndarray))
-                           else [[read(value)]], dtype=float)
+        numbers = np.array(
+            sp.Matrix(sp.sympify(read(value))).evalf()
+            if isinstance(value, (list, tuple, sp.MatrixBase, np.ndarray))
+            else [[read(value)]],
+            dtype=float,
+        )
     except (TypeError, ValueError):
         raise ModelError(
             "model_file", f"{label} = {value} is not numeric", "Give a number or a matrix."

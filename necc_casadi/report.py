@@ -23,6 +23,8 @@ __all__ = ["Findings", "design_block", "summary", "to_json"]
 
 #: A design whose ε is above this fell short, whatever else is proved.
 ACCEPTED_LOSS = 1e-6
+#: Lists of more states than this are shortened in the text, never in the JSON.
+_MANY = 12
 
 
 @dataclass
@@ -89,7 +91,9 @@ def design_block(design: Design, certificate: Certificate | None) -> dict[str, A
         "bound_paper": epsilon / (design.a - epsilon) if design.a > epsilon else None,
         "bound_rigorous": None if certificate is None else certificate.bound_rigorous,
         "spectral_abscissa": float(spectrum.real.max()),
-        "spectrum": [[float(v.real), float(v.imag)] for v in sorted(spectrum, key=lambda v: -v.real)],
+        "spectrum": [
+            [float(v.real), float(v.imag)] for v in sorted(spectrum, key=lambda v: -v.real)
+        ],
         "stability": None if certificate is None else certificate.stability,
         "D": design.D.tolist(),
         "Dc": design.Dc.tolist(),
@@ -177,7 +181,7 @@ def _finite(value: Any) -> Any:
     return value
 
 
-# --- plain text ------------------------------------------------------------------------------------
+# --- plain text -----------------------------------------------------------------------------
 
 
 def summary(found: Findings) -> str:
@@ -233,11 +237,16 @@ def _outcome(found: Findings) -> str:
 
 def _target(found: Findings) -> str:
     parts = []
+    many = found.loop.plant.n > _MANY
     for symbol in found.loop.plant.x:
         value = found.x_star[symbol]
+        if many and value == 0:
+            continue
         unit = found.loop.plant.units.get(str(symbol), "")
         decimal = "" if value.is_Integer else f" = {float(sp.N(value)):.6g}"
         parts.append(f"{symbol} = {sp.sstr(value)}{decimal}{' ' + unit if unit else ''}")
+    if many:
+        return f"{', '.join(parts[:_MANY])}{', …' if len(parts) > _MANY else ''}; zeros not listed"
     return ", ".join(parts)
 
 
@@ -270,7 +279,8 @@ def _design_rows(design: Design, certificate: Certificate | None) -> list[tuple[
     bounds = (
         f"ε/(a − ε) = {paper:.2g}" if paper is not None else "ε/(a − ε) is no bound (ε ≥ a)"
     ) + (f", proved ≤ {rigorous:.2g}" if rigorous is not None else ", no proved bound")
-    z_bar = ", ".join(f"{v:.6g}" for v in design.z_bar)
+    z_bar = ", ".join(f"{v:.6g}" for v in design.z_bar[:_MANY])
+    z_bar += ", …" if len(design.z_bar) > _MANY else ""
     return [
         (
             "design",

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
+import numpy.typing as npt
 
 from necc_casadi.artifact import Design
 from necc_casadi.networks import Vector
@@ -48,7 +49,7 @@ class Trajectory:
 
     @property
     def peak_input(self) -> float:
-        """max |u| over time and inputs."""
+        """Max |u| over time and inputs."""
         return float(np.abs(self.u).max())
 
     def csv(self, names: Sequence[str]) -> str:
@@ -70,7 +71,9 @@ def random_states(design: Design, count: int, seed: int = 0) -> list[Vector]:
     rng = np.random.default_rng(seed)
     n = design.loop.plant.n
     lo, hi = domain_box(design)
-    return [z[:n] for z in rng.uniform(0.75 * lo + 0.25 * hi, 0.25 * lo + 0.75 * hi, (count, len(lo)))]
+    return [
+        z[:n] for z in rng.uniform(0.75 * lo + 0.25 * hi, 0.25 * lo + 0.75 * hi, (count, len(lo)))
+    ]
 
 
 def domain_box(design: Design) -> tuple[Vector, Vector]:
@@ -84,8 +87,8 @@ def domain_box(design: Design) -> tuple[Vector, Vector]:
 
 def simulate(
     design: Design,
-    x0: Sequence[float],
-    xi0: Sequence[float] | None = None,
+    x0: npt.ArrayLike,
+    xi0: npt.ArrayLike | None = None,
     *,
     time: float | None = None,
     points: int = 501,
@@ -110,8 +113,12 @@ def simulate(
     z0 = np.concatenate([np.asarray(x0, float), xi])
     grid = np.linspace(0.0, default_horizon(design) if time is None else float(time), points)
     z = ca.MX.sym("z", z0.size)
-    options = {"abstol": _ABSOLUTE, "reltol": _RELATIVE, "max_num_steps": 100_000,
-               "show_eval_warnings": False}
+    options = {
+        "abstol": _ABSOLUTE,
+        "reltol": _RELATIVE,
+        "max_num_steps": 100_000,
+        "show_eval_warnings": False,
+    }
     integrator = ca.integrator(
         "response", "cvodes", {"x": z, "ode": V.vector_field(z)}, 0.0, list(grid[1:]), options
     )
@@ -120,7 +127,9 @@ def simulate(
         complete = bool(np.all(np.isfinite(states)))
     except RuntimeError:  # the integrator's way to say that it cannot go on
         states, complete = z0[None, :], False
-    inputs = [np.asarray(V.control_law(s[: V.terms.n], s[V.terms.n :])[0], float).ravel() for s in states]
+    inputs = [
+        np.asarray(V.control_law(s[: V.terms.n], s[V.terms.n :])[0], float).ravel() for s in states
+    ]
     values = [float(V.V(s)) for s in states]
     return Trajectory(
         t=grid[: len(states)],

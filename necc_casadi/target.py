@@ -12,7 +12,13 @@ from necc_casadi.expressions import parse_number
 from necc_casadi.networks import Vector
 from necc_casadi.plant import Plant
 
-__all__ = ["free_coordinates", "nearest_equilibrium", "parse_target", "solve_target", "target_from_model"]
+__all__ = [
+    "free_coordinates",
+    "nearest_equilibrium",
+    "parse_target",
+    "solve_target",
+    "target_from_model",
+]
 
 
 def parse_target(plant: Plant, text: str) -> dict[sp.Symbol, sp.Expr]:

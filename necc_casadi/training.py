@@ -28,12 +28,13 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import pairwise
 
 import casadi as ca
 import numpy as np
 
 from necc_casadi.lyapunov import Form, Terms, value
-from necc_casadi.networks import MonotonePhi, Network, Vector
+from necc_casadi.networks import KAPPA_MIN, MonotonePhi, Network, Vector
 from necc_casadi.outcome import Start
 
 __all__ = ["Scales", "Solution", "train"]
@@ -101,6 +102,7 @@ def train(
     seed: int = 0,
     starts: int = 1,
     xi_guess: Vector | None = None,
+    kappa_min: float = KAPPA_MIN,
     report: Callable[[Start], None] | None = None,
     verbose: bool = False,
 ) -> Solution:
@@ -124,17 +126,21 @@ def train(
         Start i uses seed + i.
     xi_guess
         Where ξ* starts, (nc,); zeros by default. Later starts move away from it.
+    kappa_min
+        Least curvature of the quadratic parts, in natural units (energy/length²).
     report
         Called with the outcome of each start.
     verbose
         Print IPOPT's iterations.
     """
     guess = np.zeros(terms.nc) if xi_guess is None else np.asarray(xi_guess, float)
-    problem = _Problem(terms, form, np.asarray(x_star, float), a, scales, guess)
+    problem = _Problem(terms, form, np.asarray(x_star, float), a, scales, guess, kappa_min)
     results: list[tuple[Start, Vector, Vector]] = []
     for make_solver in (problem.hard, problem.soft):
         solver = make_solver(verbose)
-        for index in range(starts if solver else 0):
+        if solver is None:
+            continue
+        for index in range(starts):
             results.append(solver.run(seed + index, away=index > 0))
             if report is not None:
                 report(results[-1][0])
@@ -189,10 +195,17 @@ class _Problem:
     """Everything that hard and soft form share: lifted variables, ∇V(z*), ∇²V(z*)."""
 
     def __init__(
-        self, terms: Terms, form: Form, x_star: Vector, a: float, scales: Scales, guess: Vector
+        self,
+        terms: Terms,
+        form: Form,
+        x_star: Vector,
+        a: float,
+        scales: Scales,
+        guess: Vector,
+        kappa_min: float,
     ) -> None:
         self.terms, self.form, self.x_star, self.a = terms, form, x_star, a
-        self.scales, self.guess = scales, guess
+        self.scales, self.guess, self.kappa_min = scales, guess, kappa_min
         self.jet_functions = [_jet_function(network) for network in form.networks]
         self.xi = ca.SX.sym("xi", terms.nc)
         self.jets = self._lift()
@@ -252,7 +265,7 @@ class _Problem:
         return np.concatenate([p[0] for p in pairs]), np.concatenate([p[1] for p in pairs])
 
     def residuals(self, w: ca.MX, small: ca.MX) -> ca.MX:
-        """y − jet(θ, ξ*), the rows that tie lifted variables to networks."""
+        """Y − jet(θ, ξ*), the rows that tie lifted variables to networks."""
         bases = self.bases.call([small])
         parts = self.form.split(w)
         jets = [f(p, b) for f, p, b in zip(self.jet_functions, parts, bases, strict=True)]
@@ -261,7 +274,12 @@ class _Problem:
     def jets_at(self, w: Vector, xi: Vector) -> Vector:
         """Lifted variables (ξ, y) that weights w imply at ξ* = xi."""
         parts = self.form.split(w)
-        order = [0, *range(2, 2 + len(self.form.betas)), 1, *range(2 + len(self.form.betas), len(parts))]
+        order = [
+            0,
+            *range(2, 2 + len(self.form.betas)),
+            1,
+            *range(2 + len(self.form.betas), len(parts)),
+        ]
         starts = np.cumsum([self.terms.nc, *[jet.y.numel() for jet in self.jets]])
         small = np.concatenate([xi, np.zeros(starts[-1] - self.terms.nc)])
         for index in order:  # inner networks before those that take their values
@@ -281,16 +299,15 @@ class _Problem:
         return self.jets_at(self.sigma * w_hat + self.tau, xi)
 
     def centred(self, w_hat: Vector, xi: Vector) -> Vector:
-        """ŵ with the centres of the quadratic parts at the networks' inputs at z*."""
+        """ŵ with the quadratic parts centred at the networks' inputs at z*, above their bound."""
         w_hat = w_hat.copy()
         bases = self.bases.call([self.small_at(w_hat, xi)])
         parts, units = self.form.split(w_hat), self.form.split(self.sigma)
-        for network, part, unit, base in zip(
-            self.form.networks, parts, units, bases, strict=True
-        ):
+        for network, part, unit, base in zip(self.form.networks, parts, units, bases, strict=True):
             if isinstance(network, Network) and network.quadratic:
                 d = network.inputs
                 part[-d:] = np.asarray(base, float).ravel() / unit[-d:]
+                part[-2 * d : -d] = np.maximum(part[-2 * d : -d], 1.1 * self.kappa_min)
         return w_hat
 
     def hard(self, verbose: bool) -> _Solver | None:
@@ -301,20 +318,21 @@ class _Problem:
             return None
         g, S, rows = split
         pattern = _block_pattern(S)
-        L, l = _lower(pattern)
+        L, entries = _lower(pattern)
         P = self.scales.stiffness[rows]
         gap = ca.vertcat(*[(S - L @ L.T)[i, j] for i, j in pattern])
         shape = ca.dot(ca.diag(L @ L.T), 1 / P) - 2 * ca.sum1(ca.log(ca.diag(L)))
 
         def initial(small: Vector) -> Vector:
             value = np.asarray(ca.Function("S", [self.small], [S])(small), float)
-            return _factor(value, P)[tuple(np.array(pattern, int).reshape(-1, 2).T)]
+            lower: Vector = _factor(value, P)[tuple(np.array(pattern, int).reshape(-1, 2).T)]
+            return lower
 
         diagonal = np.array([i == j for i, j in pattern], bool)
         return _Solver(
             problem=self,
             mode="hard",
-            extra=l,
+            extra=entries,
             lower=np.where(diagonal, 1e-8 * np.sqrt(P.max(initial=1.0)), -np.inf),
             objective=shape,
             equalities=ca.vertcat(g, gap),
@@ -347,11 +365,11 @@ class _Problem:
         return g, ca.sparsify(S), rows
 
     def soft(self, verbose: bool) -> _Solver:
-        """min s + t with ∇V(z*) = s w, wᵀw ≤ 1, ∇²V(z*) + (t − a)I = LLᵀ: ε exactly."""
+        """Min s + t with ∇V(z*) = s w, wᵀw ≤ 1, ∇²V(z*) + (t − a)I = LLᵀ: ε exactly."""
         n = self.g.numel()
         s, t, w = ca.SX.sym("s"), ca.SX.sym("t"), ca.SX.sym("w", n)
         pattern = _block_pattern(self.N)
-        L, l = _lower(pattern)
+        L, entries = _lower(pattern)
         shifted = self.N + (t - self.a) * ca.SX.eye(n)
         gap = ca.vertcat(*[(shifted - L @ L.T)[i, j] for i, j in pattern])
         evaluate = ca.Function("gN", [self.small], [self.g, self.N])
@@ -361,13 +379,13 @@ class _Problem:
             s0 = max(float(np.linalg.norm(g0)), 1e-3)
             t0 = max(0.0, self.a - np.linalg.eigvalsh(N0)[0]) + 0.1 * self.a
             factor = np.linalg.cholesky(N0 + (t0 - self.a) * np.eye(n))
-            entries = factor[tuple(np.array(pattern, int).T)]
-            return np.concatenate([[s0, t0], g0.ravel() / s0, entries])
+            lower = factor[tuple(np.array(pattern, int).T)]
+            return np.concatenate([[s0, t0], g0.ravel() / s0, lower])
 
         return _Solver(
             problem=self,
             mode="soft",
-            extra=ca.vertcat(s, t, w, l),
+            extra=ca.vertcat(s, t, w, entries),
             lower=np.concatenate([[0.0, 0.0], np.full(n + len(pattern), -np.inf)]),
             objective=s + t,
             equalities=ca.vertcat(self.g - s * w, gap),
@@ -382,7 +400,7 @@ def _block_pattern(S: ca.SX) -> list[tuple[int, int]]:
     size = S.shape[0]
     pattern = S.sparsity().unite(ca.Sparsity.diag(size))
     _, order, ends = pattern.scc() if size else (0, [], [0])
-    blocks = [sorted(order[a:b]) for a, b in zip(ends[:-1], ends[1:], strict=True)]
+    blocks = [sorted(order[a:b]) for a, b in pairwise(ends)]
     return [(i, j) for block in blocks for i in block for j in block if j <= i]
 
 
@@ -397,7 +415,7 @@ def _lower(pattern: list[tuple[int, int]]) -> tuple[ca.SX, ca.SX]:
 
 
 def _factor(S: Vector, P: Vector) -> Vector:
-    """A nonsingular Cholesky factor to start from: of S with its eigenvalues lifted, scaled by P."""
+    """A nonsingular Cholesky factor to start from: of S, its eigenvalues relative to P lifted."""
     root = np.sqrt(P)
     values, vectors = np.linalg.eigh(S / np.outer(root, root)) if len(P) else (P, np.eye(0))
     lifted = (vectors * np.maximum(values, 0.1)) @ vectors.T * np.outer(root, root)
@@ -437,10 +455,16 @@ class _Solver:
             "train",
             "ipopt",
             {"x": ca.vertcat(s, w), "p": start, "f": f, "g": g},
-            _IPOPT | self._hessian(s, w, start, f, g) | ({"ipopt.print_level": 5} if verbose else {}),
+            _IPOPT
+            | self._hessian(s, w, start, f, g)
+            | ({"ipopt.print_level": 5} if verbose else {}),
         )
         self.lower = np.concatenate(
-            [np.full(self.n_lifted, -np.inf), lower, np.concatenate([n.lower for n in problem.form.networks])]
+            [
+                np.full(self.n_lifted, -np.inf),
+                lower,
+                *[network.lower(problem.kappa_min) for network in problem.form.networks],
+            ]
         )
 
     def _proximity(self, s: ca.MX, w: ca.MX, start: ca.MX) -> ca.MX:
@@ -450,9 +474,7 @@ class _Solver:
         pull = XI_COST * ca.sumsqr((s[:nc] - start[:nc]) / ca.DM(self.problem.scales.state[-nc:]))
         return (ca.dot(cost, (w - start[nc:]) ** 2) + pull) / 2
 
-    def _hessian(
-        self, s: ca.MX, w: ca.MX, start: ca.MX, f: ca.MX, g: ca.MX
-    ) -> dict[str, object]:
+    def _hessian(self, s: ca.MX, w: ca.MX, start: ca.MX, f: ca.MX, g: ca.MX) -> dict[str, object]:
         """How IPOPT gets second derivatives: exact, Gauss–Newton in θ, or limited memory."""
         if self.mode == "soft":
             # A constant initial matrix: the scaled one tends to zero with the linear objective, and
@@ -486,7 +508,9 @@ class _Solver:
         w0 = problem.centred(w0, xi0)
         small = problem.small_at(w0, xi0)
         bounds = {"lbx": self.lower, "ubx": np.inf}
-        g_upper = np.concatenate([np.zeros(self.n_equal), np.full(self.n_rows - self.n_equal, np.inf)])
+        g_upper = np.concatenate(
+            [np.zeros(self.n_equal), np.full(self.n_rows - self.n_equal, np.inf)]
+        )
         began = time.perf_counter()
         result = self.solver(
             x0=np.concatenate([small, self.initial(small), w0]),

@@ -71,7 +71,8 @@ def _accepted(
     stability: str | None,
     witness: str | None,
 ) -> str:
-    text = f"assignable through {_casimir_list(casimirs)}"
+    through = f" through {_casimir_list(casimirs)}" if casimirs.functions else " without a Casimir"
+    text = f"assignable{through}"
     ceiling = local.best.ceiling if local.best is not None else None
     if ceiling is not None and local.invisible.cols:
         text += f"; with Φ₁ = 1 the Hessian's least eigenvalue stays below {ceiling:.4g}"
@@ -144,6 +145,12 @@ def _remedy(loop: ClosedLoop, x_star: Mapping[sp.Symbol, sp.Expr], w: sp.MatrixB
     if obstacle:
         return obstacle
     name = direction_name(loop.plant.x, w)
+    G = loop.plant.G.subs({s: x_star[s] for s in loop.plant.G.free_symbols})
+    if ex.generic_rank(sp.Matrix(G).row_join(sp.Matrix(w))) == loop.plant.m:
+        return (
+            f"An input acts on {name}, but no Casimir ties it to the controller: try another "
+            "controller structure (Jc, Gc), or another target."
+        )
     return f"Actuate {name}, or choose a target at which H is at rest and curves upwards along it."
 
 
@@ -202,7 +209,7 @@ def short(expr: sp.Expr) -> str:
 def _casimir_list(casimirs: Casimirs) -> str:
     names = [short(c) for c in casimirs.functions]
     if not names:
-        return "the controller: the loop has no Casimir"
+        return "the controller (the loop has no Casimir)"
     if len(names) == 1:
         return f"the only Casimir {names[0]}"
     return f"the Casimirs {', '.join(names[:_MOST_NAMES])}" + (
