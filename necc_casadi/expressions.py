@@ -192,6 +192,8 @@ def to_text(expr: sp.Expr) -> str:
 def exact(expr: sp.Expr) -> sp.Expr:
     """`expr` with decimals as the rationals they display, and cot, sec, … rewritten."""
     expr = sp.sympify(expr)
+    if not isinstance(expr, sp.Basic):
+        raise TypeError(f"{expr!r} is not an expression")
     floats = {f: sp.Rational(repr(float(f))) for f in expr.atoms(sp.Float)}
     if floats:
         expr = expr.xreplace(floats)
