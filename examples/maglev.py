@@ -13,7 +13,12 @@ q, p = sp.symbols("q p", real=True)  # position below rest (downwards), momentum
 m, g, k, c = sp.symbols("m g k c", positive=True)
 
 name = "Magnetic levitation"
-params = {m: sp.Rational(1, 10), g: sp.Rational("9.81"), k: sp.Rational(1, 20), c: sp.Rational(1, 2)}
+params = {
+    m: sp.Rational(1, 10),
+    g: sp.Rational("9.81"),
+    k: sp.Rational(1, 20),
+    c: sp.Rational(1, 2),
+}
 x = (q, p)
 J = sp.Matrix([[0, 1], [-1, 0]])
 R = sp.zeros(2, 2)

@@ -22,5 +22,5 @@ G = sp.Matrix([int(i == N) for i in range(2 * N)])
 H = sum(v**2 for v in p) / (2 * mass) + spring * q[-1] ** 2 / 2
 H += spring * sum((q[i + 1] - q[i]) ** 2 for i in range(N - 1)) / 2
 
-units = {**{v: "m" for v in q}, **{v: "kg m/s" for v in p}}
-target = {**{q[i]: sp.Rational(N - i, N) for i in range(N)}, **{v: 0 for v in p}}
+units = {**dict.fromkeys(q, "m"), **dict.fromkeys(p, "kg m/s")}
+target = {**{q[i]: sp.Rational(N - i, N) for i in range(N)}, **dict.fromkeys(p, 0)}

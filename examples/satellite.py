@@ -35,8 +35,8 @@ R = sp.zeros(6, 6)
 G = sp.Matrix.vstack(sp.zeros(3, 3), sp.eye(3))
 H = p[0] ** 2 / 2 + p[1] ** 2 / 3 + p[2] ** 2 / 4
 
-units = {**{v: "rad" for v in q}, **{v: "kg m²/s" for v in p}}
-target = {q[0]: sp.pi / 6, q[1]: sp.pi / 8, q[2]: -sp.pi / 5, **{v: 0 for v in p}}
+units = {**dict.fromkeys(q, "rad"), **dict.fromkeys(p, "kg m²/s")}
+target = {q[0]: sp.pi / 6, q[1]: sp.pi / 8, q[2]: -sp.pi / 5, **dict.fromkeys(p, 0)}
 domain = {q[1]: (-1, sp.Rational(6, 5))}
 
 xi = sp.symbols("xi1:4", real=True)

@@ -97,10 +97,11 @@ def _counted(
 ) -> Casimirs:
     """Constant sub-kernel and supplied ones, then the count, then closed forms up to the count."""
     forms: list[tuple[sp.Expr, str]] = []
-    find_closed_forms(search, forms, kernel_rank, constant_only=True)
+    find_closed_forms(search, forms, kernel_rank, "constant")
     for c in given:
         if independent([f for f, _ in forms], c, loop.z):
             forms.append((c, "supplied"))
+    find_closed_forms(search, forms, kernel_rank, "quick")
     count, proved = count_casimirs(sp.Matrix(loop.M), loop.z, len(forms))
     if len(forms) < count:
         find_closed_forms(search, forms, count)

@@ -121,6 +121,12 @@ _output = grouped("Output")
     help="Quadratic parts stiff enough to make V convex everywhere, where the plant allows it.",
 )
 @_form(
+    "--learn-casimir",
+    is_flag=True,
+    help="Where closed forms are missing: a network C(z) that is a Casimir approximately. "
+    "Nothing is certified from it.",
+)
+@_form(
     "--phi",
     type=click.Choice(["sum", "neural"]),
     help="Φ = H + Hc + C, or a network with Φ₁ > 0 by construction.  [default: sum]",
@@ -204,7 +210,16 @@ def _design(model: Path, **options: Any) -> int:
         from necc_casadi.pipeline import Request, run_design
         from necc_casadi.report import summary, to_json
 
-        form = ("hidden_k", "hidden_h", "activation", "casimir_form", "phi", "a", "convex")
+        form = (
+            "hidden_k",
+            "hidden_h",
+            "activation",
+            "casimir_form",
+            "phi",
+            "a",
+            "convex",
+            "learn_casimir",
+        )
         chosen = {key: options[key] for key in form if options[key] is not None}
         chosen |= {key: options[key] for key in ("seed", "starts")} | {"verbose": options["debug"]}
         passed = (

@@ -168,14 +168,16 @@ def has_rank(matrix: sp.Matrix, wanted: int) -> bool:
     return real_rank(matrix, (), wanted, tries=1)
 
 
+def _is_small(value: sp.Expr) -> bool:
+    return bool(abs(value) < sp.Float(10) ** (-_DIGITS // 2))
+
+
 def _sampled_rank(matrix: sp.Matrix, tries: int) -> int:
     best = 0
     for seed in range(tries):
         value = matrix.subs(random_point(matrix.free_symbols, seed))
         if not value.has(sp.zoo, sp.nan, sp.oo):
-            value = value.evalf(_DIGITS)
-            small = sp.Float(10) ** (-_DIGITS // 2)
-            best = max(best, int(value.rank(iszerofunc=lambda v: bool(abs(v) < small))))
+            best = max(best, int(value.evalf(_DIGITS).rank(iszerofunc=_is_small)))
     return best
 
 

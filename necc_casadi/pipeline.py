@@ -83,7 +83,8 @@ def run_design(request: Request, say: Say) -> Findings:
     verdict = judge(model.loop, casimirs, x_star)
     found = Findings(model.loop, x_star, casimirs, verdict, notes=_notes(model, casimirs))
     found.timings["symbolic"] = time.perf_counter() - began
-    if verdict.assignable and not request.check:
+    learning = options.learn_casimir and verdict.assignable is not False
+    if (verdict.assignable or learning) and not request.check:
         _Making(request, model, casimirs, verdict, options, found, say).everything()
     return found
 

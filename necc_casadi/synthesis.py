@@ -12,16 +12,20 @@ import sympy as sp
 from necc_casadi.artifact import Design
 from necc_casadi.assignability import Verdict
 from necc_casadi.casimirs import Casimirs
+from necc_casadi.learned import casimir_penalty, casimir_residual, state_inputs
+from necc_casadi.lifting import Scales
 from necc_casadi.loop import ClosedLoop
 from necc_casadi.lyapunov import Form, LyapunovFunction, Terms, make_terms
 from necc_casadi.networks import KAPPA_MIN, MonotonePhi, Network, Vector
 from necc_casadi.outcome import Start
-from necc_casadi.training import Scales, train
+from necc_casadi.training import train
 
 __all__ = ["Options", "design", "natural_scales", "paper_options"]
 
 #: Curvature asked for by default, as a share of the reference stiffness.
 _DEFAULT_A = 0.5
+#: Hidden layer of a learned Casimir: small enough for exact second derivatives.
+_LEARNED_HIDDEN = (32,)
 #: Share of the ceiling a_max that is asked for when the request lies beyond it.
 _BELOW_CEILING = 0.9
 
@@ -41,6 +45,7 @@ class Options:
     D: Vector | None = None  # m × m
     Dc: Vector | None = None  # m × m
     convex: bool = False  # quadratic parts stiff enough to make V convex everywhere
+    learn_casimir: bool = False  # a network C(z), a Casimir only approximately
     natural_units: bool = True  # scale the networks to the plant's domain and energy
     seed: int = 0
     starts: int = 1
@@ -84,7 +89,10 @@ def design(
         Called with the outcome of each start of the solver.
     """
     options = options or Options()
-    if not casimirs.functions:  # constants are Casimirs of every loop: C = K(0) keeps one form
+    if options.learn_casimir:
+        casimirs = state_inputs(loop, casimirs)
+        options = replace(options, casimir_form="joint", hidden_k=_LEARNED_HIDDEN)
+    elif not casimirs.functions:  # constants are Casimirs of every loop: C = K(0) keeps one form
         casimirs = replace(casimirs, functions=(sp.Integer(0),))
         options = replace(options, hidden_k=(1,))
     terms = make_terms(loop, casimirs)
@@ -95,6 +103,10 @@ def design(
         guess = np.array([float(sp.N(v, 20)) for v in verdict.xi_star])
     natural = natural_scales(loop, casimirs, x, guess)
     scales = natural if options.natural_units else Scales(np.ones(len(loop.z)), 1.0)
+    z_guess = np.concatenate([x, guess])
+    penalty = None
+    if options.learn_casimir:
+        penalty = casimir_penalty(terms, form, natural, z_guess, options.seed)
     requested = options.a if options.a is not None else _default_a(natural, verdict)
     a = requested
     if verdict.a_max is not None and requested >= verdict.a_max and not options.keep_a:
@@ -109,6 +121,7 @@ def design(
         starts=options.starts,
         xi_guess=guess,
         kappa_min=_least_kappa(terms, scales, verdict, x, guess) if options.convex else KAPPA_MIN,
+        penalty=penalty,
         report=report,
         verbose=options.verbose,
     )
@@ -129,6 +142,9 @@ def design(
         a_requested=requested,
         seed=options.seed,
         starts=solution.starts,
+        learned=casimir_residual(terms, form, solution.weights, natural, z_star, options.seed)
+        if options.learn_casimir
+        else None,
     )
     return Design.from_text(made.text)
 
@@ -141,7 +157,11 @@ def _form(options: Options, nc: int, r: int) -> Form:
     betas = () if joint else tuple(network(1, options.hidden_k, False) for _ in range(r))
     return Form(
         hc=network(nc, options.hidden_h, options.quadratic),
-        k=network(r if joint else 1, options.hidden_k, options.quadratic),
+        k=network(
+            r if joint else 1,
+            options.hidden_k,
+            options.quadratic and not options.learn_casimir,
+        ),
         betas=betas,
         phi=MonotonePhi() if options.phi == "neural" else None,
     )

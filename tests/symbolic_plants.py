@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import sympy as sp
 
-from necc_casadi.casimirs import find_casimirs
 from necc_casadi.assignability import judge
+from necc_casadi.casimirs import find_casimirs
 from necc_casadi.loop import default_controller, interconnect, make_controller
 from necc_casadi.plant import make_plant
 
@@ -93,7 +93,9 @@ def best_hessian_eigenvalue(loop, casimirs, target, seed=0):
     rng = np.random.default_rng(seed)
     z, n, r = list(loop.z), loop.plant.n, len(casimirs.functions)
     point = {**target, **{s: sp.Rational(1, 3) for s in loop.controller.xi}}
-    slopes = [numeric(sp.Matrix([sp.diff(c, s) for s in z]).subs(point)) for c in casimirs.functions]
+    slopes = [
+        numeric(sp.Matrix([sp.diff(c, s) for s in z]).subs(point)) for c in casimirs.functions
+    ]
     hessians = [numeric(sp.hessian(c, z).subs(point)) for c in casimirs.functions]
     base = numeric(sp.hessian(loop.plant.H, z).subs(point))
     g = numeric(sp.Matrix([sp.diff(loop.plant.H, s) for s in z[:n]]).subs(point))
@@ -105,9 +107,11 @@ def best_hessian_eigenvalue(loop, casimirs, target, seed=0):
     best = -np.inf
     for trial in range(200 if np.abs(free).max(initial=0) > 1e-9 else 1):
         shift = free @ rng.normal(scale=3.0, size=r) if trial else np.zeros(r)
-        P = base + sum((w * Q for w, Q in zip(lam + shift, hessians, strict=True)), np.zeros_like(base))
+        P = base + sum(
+            (w * Q for w, Q in zip(lam + shift, hessians, strict=True)), np.zeros_like(base)
+        )
         for stiffness in (1.0, 1e3, 1e6):
             full = P + stiffness * C @ C.T
-            full[n:, n:] += stiffness**2 * np.eye(loop.n - n)
+            full[n:, n:] += 10 * stiffness * np.eye(loop.n - n)
             best = max(best, float(np.linalg.eigvalsh(full)[0]))
     return best

@@ -128,7 +128,7 @@ def test_constant_form_is_the_documented_basis():
 
 def test_supplied_casimirs_are_proved():
     loop = load("maglev")[1]
-    q, p, xi1 = loop.z
+    q, _p, xi1 = loop.z
     (form,) = find_casimirs(loop).functions
     assert find_casimirs(loop, [sp.exp(form)]).functions == (sp.exp(form),)
     with pytest.raises(ModelError) as caught:
@@ -144,7 +144,7 @@ def test_supplied_casimirs_are_proved():
 
 def test_a_function_of_known_casimirs_is_not_listed_again():
     loop = load("pendulum")[1]
-    q, p, xi1 = loop.z
+    q, _p, xi1 = loop.z
     assert find_casimirs(loop, [(q - xi1) ** 3]).functions == (q - xi1,)
 
 
@@ -182,9 +182,7 @@ def test_forms_without_poles_at_the_target_are_preferred():
 def test_state_dependent_inputs(G, form):
     """ξ̇ = g(q)q̇, so the Casimir is the antiderivative of g, less ξ."""
     q, p = sp.symbols("q p", real=True)
-    plant = make_plant(
-        (q, p), sp.Matrix([[0, 1], [-1, 0]]), sp.zeros(2, 2), G(q), p**2 / 2 + q**2
-    )
+    plant = make_plant((q, p), sp.Matrix([[0, 1], [-1, 0]]), sp.zeros(2, 2), G(q), p**2 / 2 + q**2)
     loop = default_loop(plant)
     found = find_casimirs(loop)
     assert len(found.functions) == found.generic_count == 1

@@ -14,8 +14,8 @@ entries = st.integers(-3, 3)
 
 
 @st.composite
-def matrices(draw, rows=st.integers(1, 5), columns=st.integers(1, 5)):
-    r, c = draw(rows), draw(columns)
+def matrices(draw, rows=(1, 5), columns=(1, 5)):
+    r, c = draw(st.integers(*rows)), draw(st.integers(*columns))
     return sp.Matrix(r, c, draw(st.lists(entries, min_size=r * c, max_size=r * c)))
 
 
@@ -91,7 +91,7 @@ def test_signs_of_close_constants():
     assert ex.sign(q) is None
 
 
-@given(matrices(rows=st.integers(2, 4), columns=st.integers(1, 4)), st.integers(0, 3))
+@given(matrices(rows=(2, 4), columns=(1, 4)), st.integers(0, 3))
 @settings(max_examples=60, deadline=None)
 def test_definiteness_agrees_with_eigenvalues(L, shift):
     Q = L * L.T - shift * sp.eye(L.rows)
@@ -111,7 +111,11 @@ def test_definiteness_agrees_with_eigenvalues(L, shift):
 def test_flat_is_never_a_matter_of_tolerance():
     exactly = sp.cos(sp.pi / 5) - (1 + sp.sqrt(5)) / 4
     tiny = sp.Rational(1, 10**40)
-    for constant, kind in ((exactly, "flat"), (exactly + tiny, "positive"), (exactly - tiny, "negative")):
+    for constant, kind in (
+        (exactly, "flat"),
+        (exactly + tiny, "positive"),
+        (exactly - tiny, "negative"),
+    ):
         assert definiteness(sp.diag(1, constant))[0] == kind
 
 
@@ -138,7 +142,7 @@ def test_ranks_agree(A, B):
     assert rank(values(list(A), 1)[0].reshape(A.shape)) == expected
 
 
-@given(matrices(rows=st.integers(1, 3), columns=st.integers(2, 5)))
+@given(matrices(rows=(1, 3), columns=(2, 5)))
 @settings(max_examples=30, deadline=None)
 def test_null_vectors_are_lifted_to_the_rationals(A):
     vectors = nullspace(lambda prime: values(list(A), 1, prime=prime)[0].reshape(A.shape), 2)
