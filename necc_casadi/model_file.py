@@ -304,7 +304,7 @@ def damping_matrix(
     """
     numbers = np.atleast_1d(np.squeeze(np.asarray(value, float)))
     if numbers.size == 1:
-        matrix = float(numbers.ravel()[0]) * np.eye(m)
+        matrix = np.diag(np.full(m, numbers.ravel()[0]))
     elif numbers.shape == (m,):
         matrix = np.diag(numbers)
     else:

@@ -101,7 +101,7 @@ def make_plant(
     ModelError
         With the code of the first property that fails: ``duplicate_state, shape, h_not_scalar,
         undefined_symbol, not_real, non_smooth, singular, h_constant, j_not_skew, r_not_symmetric,
-        rnot_psd, g_rank, limits``.
+        r_not_psd, g_rank, limits``.
     """
     x = tuple(x)
     check_states(x, "x")
@@ -117,7 +117,7 @@ def make_plant(
         )
     properties = (
         check_skew(J, "J", "j_not_skew"),
-        check_psd(R, "R", "r_not_symmetric", "rnot_psd"),
+        check_psd(R, "R", "r_not_symmetric", "r_not_psd"),
         check_rank(G, "G", "g_rank"),
     )
     if u_limits is not None and len(u_limits) != G.cols:
