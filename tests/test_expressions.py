@@ -95,11 +95,9 @@ def test_parse_inverts_to_text(expr):
 def test_any_text_is_an_expression_or_a_value_error(text):
     try:
         result = parse(text, NAMES)
-    except ValueError as problem:
-        assert str(problem)
-        assert "\n" not in str(problem)
-    else:
-        assert isinstance(result, sp.Expr)
+    except ValueError as caught:
+        result = caught
+    assert isinstance(result, sp.Expr) or (str(result) and "\n" not in str(result))
 
 
 grammar = st.recursive(
@@ -119,15 +117,16 @@ grammar = st.recursive(
 @settings(max_examples=200, deadline=None)
 def test_sentences_of_the_grammar_never_crash(text):
     try:
-        assert isinstance(parse(text, NAMES), sp.Expr)
-    except ValueError as problem:
-        assert "\n" not in str(problem)
+        result = parse(text, NAMES)
+    except ValueError as caught:
+        result = caught
+    assert isinstance(result, sp.Expr) or "\n" not in str(result)
     try:
         number = parse_number(text, "--target", "target_value", OptionError)
-    except OptionError as problem:
-        assert problem.code == "target_value"
-    else:
-        assert abs(float(number)) < float("inf")
+    except OptionError as caught:
+        number = caught
+    code = getattr(number, "code", None)
+    assert code == "target_value" or abs(float(number)) < float("inf")
 
 
 @given(st.decimals(allow_nan=False, allow_infinity=False, places=8, min_value=-99, max_value=99))
