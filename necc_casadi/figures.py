@@ -16,7 +16,15 @@ from necc_casadi.artifact import Design, write_text
 from necc_casadi.networks import Vector
 from necc_casadi.simulation import Trajectory, domain_box
 
-__all__ = ["SweepPoint", "lyapunov_figure", "responses_figure", "sweep_figure", "write_figure"]
+__all__ = [
+    "SweepPoint",
+    "lyapunov_figure",
+    "region_boundary",
+    "region_figure",
+    "responses_figure",
+    "sweep_figure",
+    "write_figure",
+]
 
 _INK, _TARGET, _MINIMUM = "#1f4e79", "#d9730d", "#2e7d32"
 _GRID = 81
@@ -71,14 +79,7 @@ def _telling_pair(design: Design) -> tuple[int, int]:
 def lyapunov_figure(design: Design) -> Figure:
     """V over two coordinates through ξ*, as a surface and as contours, with both minima marked."""
     i, j = _telling_pair(design)
-    lo, hi = domain_box(design)
-    a, b = np.linspace(lo[i], hi[i], _GRID), np.linspace(lo[j], hi[j], _GRID)
-    A, B = np.meshgrid(a, b)
-    points = np.repeat(design.z_star[:, None], A.size, axis=1)
-    points[i], points[j] = A.ravel(), B.ravel()
-    values = np.asarray(design.lyapunov.V.map(A.size)(points), float).reshape(A.shape)
-    values = values - design.V(design.z_bar)
-    star, bar = design.z_star, design.z_bar
+    A, B, values = _slice(design, i, j)
 
     figure = Figure(figsize=(10, 4.4), layout="constrained")
     figure.suptitle(f"{design.loop.plant.name}: Lyapunov function at ξ = ξ*")
@@ -93,12 +94,73 @@ def lyapunov_figure(design: Design) -> Figure:
     flat = figure.add_subplot(1, 2, 2)
     lines = flat.contour(A, B, values, levels=_levels(values), cmap="viridis")
     flat.clabel(lines, fontsize=7, fmt="%.2g")
-    flat.plot(star[i], star[j], "o", ms=11, mfc="none", mew=2, color=_TARGET, label="target z*")
-    flat.plot(bar[i], bar[j], "+", ms=11, mew=2, color=_MINIMUM, label="minimum z̄ of V")
-    flat.set_xlabel(_label(design, i))
-    flat.set_ylabel(_label(design, j))
-    flat.legend(loc="upper right", framealpha=0.9)
+    _mark_minima(design, flat, i, j)
     flat.set_title("contours of V − V(z̄)", fontsize=10)
+    return figure
+
+
+def _slice(design: Design, i: int, j: int) -> tuple[Vector, Vector, Vector]:
+    """Grid over coordinates i and j of the domain, and V − V(z̄) there, the others at z*."""
+    lo, hi = domain_box(design)
+    A, B = np.meshgrid(np.linspace(lo[i], hi[i], _GRID), np.linspace(lo[j], hi[j], _GRID))
+    points = np.repeat(design.z_star[:, None], A.size, axis=1)
+    points[i], points[j] = A.ravel(), B.ravel()
+    values = np.asarray(design.lyapunov.V.map(A.size)(points), float).reshape(A.shape)
+    return A, B, values - design.V(design.z_bar)
+
+
+def _mark_minima(design: Design, axis: Axes, i: int, j: int) -> None:
+    """Target and minimum of V, axis labels, legend."""
+    star, bar = design.z_star, design.z_bar
+    axis.plot(star[i], star[j], "o", ms=11, mfc="none", mew=2, color=_TARGET, label="target z*")
+    axis.plot(bar[i], bar[j], "+", ms=11, mew=2, color=_MINIMUM, label="minimum z̄ of V")
+    axis.set_xlabel(_label(design, i))
+    axis.set_ylabel(_label(design, j))
+    axis.legend(loc="upper right", framealpha=0.9)
+
+
+def region_boundary(design: Design, level: float, count: int = 12) -> list[Vector]:
+    """Plant states on the boundary of {V ≤ level} in the plane that the figures show, ξ = ξ*."""
+    i, j = _telling_pair(design)
+    path = _around_minimum(design, level, i, j)
+    if path is None:
+        return []
+    states = np.repeat(design.z_star[None, :], count, axis=0)
+    states[:, [i, j]] = path[np.linspace(0, len(path) - 1, count, endpoint=False).astype(int)]
+    return list(states[:, : design.loop.plant.n])
+
+
+def _around_minimum(design: Design, level: float, i: int, j: int) -> Vector | None:
+    """The closed curve V = level around z̄ in the plane of coordinates i and j, (k, 2)."""
+    from matplotlib.path import Path as Curve
+
+    A, B, values = _slice(design, i, j)
+    lines = Figure().add_subplot().contour(A, B, values, levels=[level - design.V(design.z_bar)])
+    for curve in lines.get_paths()[0]._iter_connected_components():
+        if Curve(curve.vertices).contains_point(design.z_bar[[i, j]]):
+            vertices: Vector = curve.vertices
+            return vertices
+    return None
+
+
+def region_figure(design: Design, level: float, responses: Sequence[Trajectory]) -> Figure:
+    """The proved region {V ≤ level} over V's contours, with responses from its boundary."""
+    i, j = _telling_pair(design)
+    A, B, values = _slice(design, i, j)
+    top = level - design.V(design.z_bar)
+    figure = Figure(figsize=(6.4, 5.2), layout="constrained")
+    axis = figure.add_subplot()
+    axis.contour(A, B, values, levels=_levels(values), cmap="viridis", linewidths=0.7, alpha=0.6)
+    curve = _around_minimum(design, level, i, j)
+    if curve is not None:
+        axis.fill(curve[:, 0], curve[:, 1], color=_MINIMUM, alpha=0.12)
+        axis.plot(*curve.T, color=_MINIMUM, lw=2, label=f"proved: V − V(z̄) ≤ {top:.3g}")
+    for index, response in enumerate(responses):
+        label = "simulated from the boundary, ξ(0) = ξ*" if index == 0 else None
+        axis.plot(response.z[:, i], response.z[:, j], lw=0.9, color=_INK, label=label)
+        axis.plot(response.z[0, i], response.z[0, j], ".", color=_INK)
+    _mark_minima(design, axis, i, j)
+    axis.set_title(f"{design.loop.plant.name}: proved region at ξ = ξ*", fontsize=11)
     return figure
 
 

@@ -22,6 +22,8 @@ from necc_casadi.errors import OptionError, OutputError
 from necc_casadi.figures import (
     SweepPoint,
     lyapunov_figure,
+    region_boundary,
+    region_figure,
     responses_figure,
     sweep_figure,
     write_figure,
@@ -208,6 +210,10 @@ class _Making:
                 "lyapunov": lyapunov_figure(made),
                 "responses": responses_figure(made, found.responses),
             }
+            level = found.certificate.level if found.certificate else None
+            if level is not None:
+                starts = region_boundary(made, level)
+                figures["region"] = region_figure(made, level, [simulate(made, s) for s in starts])
             if found.sweep:
                 figures["sweep"] = sweep_figure(made, found.sweep)
             for name, figure in figures.items():
