@@ -24,6 +24,7 @@ from necc_casadi.casimirs import Casimirs
 from necc_casadi.curvature import Curvature, best_curvature
 from necc_casadi.detectability import reachable_stability
 from necc_casadi.loop import ClosedLoop
+from necc_casadi.specialise import Unspecialised, pivots, values
 from necc_casadi.wording import explain
 
 __all__ = ["Verdict", "judge"]
@@ -310,9 +311,30 @@ def _all_casimirs_visible(data: TargetData, loop: ClosedLoop, casimirs: Casimirs
     wanted = casimirs.generic_count
     if wanted == 0:
         return True
-    constant = [i for i in range(data.grad_c.rows) if not data.grad_c.row(i).free_symbols]
-    rows = sp.Matrix(data.grad_c).extract(constant, list(range(data.grad_c.cols)))
-    return len(ex.reduced_rows(rows)[1]) == wanted
+    return _independent_at_every_xi(sp.Matrix(data.grad_c))
+
+
+def _independent_at_every_xi(gradients: sp.Matrix) -> bool:
+    """Whether the columns are proved to be independent for every ξ.
+
+    One square part of simple rows is tried: its determinant must be a constant, or have one sign.
+    """
+    order = sorted(
+        range(gradients.rows), key=lambda i: (sum(e.count_ops() for e in gradients.row(i)), i)
+    )
+    sorted_rows = gradients.extract(order, list(range(gradients.cols)))
+    try:
+        table = values(list(sorted_rows), 1)[0].reshape(sorted_rows.shape)
+    except Unspecialised:
+        return False
+    chosen = pivots(table.T)
+    if len(chosen) < gradients.cols:
+        return False
+    minor = sorted_rows.extract(chosen, list(range(gradients.cols))).det(method="berkowitz")
+    minor = sp.simplify(minor)
+    if minor.free_symbols:
+        return bool(minor.is_positive or minor.is_negative)
+    return ex.sign(minor) in (1, -1)
 
 
 def _decreasing_phi_works(data: TargetData, loop: ClosedLoop, local: Local) -> bool:
