@@ -18,6 +18,7 @@ import numpy as np
 import sympy as sp
 
 from necc_casadi import exact as ex
+from necc_casadi.conditions import at, sparse_gradient, sparse_hessian
 from necc_casadi.loop import ClosedLoop
 from necc_casadi.specialise import (
     PRIMES,
@@ -107,7 +108,7 @@ def _equilibrium_manifold(loop: ClosedLoop, z_star: Mapping[sp.Symbol, sp.Expr])
     generic = loop.n - ex.generic_rank(still)
     if generic == 0 or (free and loop.n > _SMALL):
         return 0
-    there = evaluated(still, z_star) if free else still
+    there = sp.Matrix(at(still, z_star)) if free else still
     if free and not ex.has_rank(there, loop.n - generic):
         return 0
     return generic if ex.kernel(still).cols == generic else 0
@@ -129,17 +130,14 @@ class _Linearisation:
     ) -> None:
         z_star = {**x_star, **dict(zip(loop.controller.xi, xi_star, strict=True))}
         self.n, self.plant_n = loop.n, loop.plant.n
-        self.J = evaluated(loop.J, z_star)
+        self.J = sp.Matrix(at(loop.J, z_star))
         inputs = sp.Matrix.hstack(sp.Matrix(loop.R), sp.Matrix(loop.ports))
-        self.inputs = evaluated(inputs, z_star)
-        gradients = [
-            [sp.diff(c, s) if s in c.free_symbols else sp.Integer(0) for s in loop.z]
-            for c in functions
-        ]
-        self.grad_c = evaluated(sp.Matrix(gradients).T, z_star) if functions else None
+        self.inputs = sp.Matrix(at(inputs, z_star))
+        gradients = [at(sparse_gradient(c, loop.z), z_star) for c in functions]
+        self.grad_c = sp.Matrix.hstack(*gradients) if gradients else None
         weighted = [w * c for w, c in zip(lam, functions, strict=True) if w != 0]
         energy = loop.plant.H + sp.Add(*weighted)
-        self.base = evaluated(hessian(energy, loop.z), z_star)
+        self.base = sp.Matrix(at(sparse_hessian(energy, loop.z), z_star))
 
     def hessian(self, seed: int) -> sp.Matrix:
         """A random ∇²V(z*) = ∇²(H + Σλc) + ∇c S ∇cᵀ + ∇²Hc with S and ∇²Hc large and rational."""
@@ -192,28 +190,6 @@ def _reduced(matrix: Any, prime: int) -> tuple[Any, int]:
     reduced, size = matrix.rref()
     rows = reduced.tolist()[:size]
     return flint.nmod_mat(size, matrix.ncols(), [int(v) for row in rows for v in row], prime), size
-
-
-def hessian(f: sp.Expr, variables: Sequence[sp.Symbol]) -> sp.Matrix:
-    """∇²f; only pairs of variables that occur together are differentiated."""
-    free = f.free_symbols
-    entries: dict[tuple[int, int], sp.Expr] = {}
-    for i, u in enumerate(variables):
-        if u in free:
-            slope = sp.diff(f, u)
-            for j, v in enumerate(variables):
-                if v in slope.free_symbols:
-                    entries[i, j] = sp.diff(slope, v)
-    return sp.Matrix(sp.SparseMatrix(len(variables), len(variables), entries))
-
-
-def evaluated(matrix: sp.MatrixBase, point: Mapping[sp.Symbol, sp.Expr]) -> sp.Matrix:
-    """`matrix` at a point."""
-    entries = {}
-    for place, entry in matrix.todok().items():
-        known = {s: point[s] for s in entry.free_symbols}
-        entries[place] = entry.subs(known) if known else entry
-    return sp.Matrix(sp.SparseMatrix(*matrix.shape, entries))
 
 
 def _random_positive(size: int, rng: random.Random) -> sp.Matrix:

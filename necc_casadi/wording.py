@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
 
 import sympy as sp
 
 from necc_casadi import exact as ex
 from necc_casadi.casimirs import Casimirs
+from necc_casadi.conditions import Local, TargetData
 from necc_casadi.loop import ClosedLoop
-
-if TYPE_CHECKING:
-    from necc_casadi.assignability import Local, TargetData
 
 __all__ = ["direction_name", "explain"]
 
