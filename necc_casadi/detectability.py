@@ -24,6 +24,7 @@ from necc_casadi.specialise import (
     PRIMES,
     Residues,
     Unspecialised,
+    ball,
     null_basis,
     rational_rows,
     values,
@@ -31,6 +32,7 @@ from necc_casadi.specialise import (
 
 __all__ = ["reachable_stability"]
 
+_BITS = 1000
 _SMALL = 14  # states beyond which a state-dependent kernel is not computed
 
 
@@ -64,12 +66,12 @@ def reachable_stability(
             f"a {resting}-dimensional family of equilibria passes through the target, for every V: "
             "ker Jcl ∩ ker Rcl ∩ ker 𝒢ᵀ is not zero"
         )
-    at = _Linearisation(loop, functions, x_star, xi_star, lam)
+    at_target = _Linearisation(loop, functions, x_star, xi_star, lam)
     for seed, prime in enumerate(PRIMES):
         try:
-            if len(at.silent_part(prime, (seed,))) == 0:
+            if len(at_target.silent_part(prime, (seed,))) == 0 and at_target.confirmed(seed):
                 return "asymptotic", None
-            modes = at.silent_modes(prime)
+            modes = at_target.silent_modes(prime)
         except Unspecialised:
             continue  # a root that occurs does not exist modulo this prime
         if modes is None:
@@ -164,6 +166,22 @@ class _Linearisation:
             rows.append(_observability(J * P, B.transpose() * P, prime))
         return null_basis(np.concatenate(rows), prime)
 
+    def confirmed(self, seed: int) -> bool:
+        """Whether observability over GF(p) is proved for the real matrices of one P.
+
+        For rational entries full rank over GF(p) is a proof. For others GF(p) may miss a relation
+        between constants, so that Arb balls have to find n certain pivots.
+        """
+        matrices = (self.J, self.inputs, self.hessian(seed))
+        if all(e.is_Rational for matrix in matrices for e in matrix.todok().values()):
+            return True
+        previous, flint.ctx.prec = flint.ctx.prec, _BITS
+        try:
+            J, B, P = (_balls(matrix) for matrix in matrices)
+            return _certain_rank(J * P, B.transpose() * P) == self.n
+        finally:
+            flint.ctx.prec = previous
+
     def silent_modes(self, prime: int) -> sp.Matrix | None:
         """Plant directions of the motions that are silent for two random V, n × k, or None."""
         rows = rational_rows(self.silent_part(prime, (11, 12)), prime)
@@ -183,6 +201,38 @@ def _observability(A: Any, output: Any, prime: int) -> Residues:
             table = [[int(v) for v in row] for row in larger.tolist()]
             return np.array(table, dtype=np.int64).reshape(size, A.ncols())
         span, size = larger, rank
+
+
+def _balls(matrix: sp.Matrix) -> Any:
+    known: dict[sp.Expr, Any] = {}
+    return flint.arb_mat(matrix.rows, matrix.cols, [ball(e, known) for e in matrix])
+
+
+def _certain_rank(A: Any, output: Any) -> int:
+    """Number of rows output·Aᵏ that are certainly independent, by elimination with balls."""
+    basis: list[tuple[int, list[Any]]] = []
+    block = output.tolist()
+    while block:
+        fresh = []
+        for candidate in block:
+            row = _eliminated(candidate, basis)
+            sizes = [0.0 if e.contains(0) else float(abs(e).mid()) for e in row]
+            lead = int(np.argmax(sizes))
+            if sizes[lead] > 0:
+                row = [e / row[lead] for e in row]
+                basis.append((lead, row))
+                fresh.append(row)
+        block = (flint.arb_mat(fresh) * A).tolist() if fresh else []
+    return len(basis)
+
+
+def _eliminated(row: list[Any], basis: list[tuple[int, list[Any]]]) -> list[Any]:
+    for column, pivot_row in basis:
+        factor = row[column]
+        if not factor.is_zero():
+            row = [a - factor * b for a, b in zip(row, pivot_row, strict=True)]
+            row[column] = flint.arb(0)
+    return row
 
 
 def _reduced(matrix: Any, prime: int) -> tuple[Any, int]:
