@@ -14,6 +14,7 @@ import sympy as sp
 from necc_casadi import exact as ex
 from necc_casadi.ansatz import Search, find_closed_forms, independent, rates
 from necc_casadi.errors import ModelError
+from necc_casadi.expressions import exact
 from necc_casadi.involution import count_casimirs
 from necc_casadi.loop import ClosedLoop
 
@@ -68,7 +69,7 @@ def find_casimirs(
         proved to be one.
     """
     M = loop.M
-    given = [_proved(loop, sp.sympify(c), i) for i, c in enumerate(supplied)]
+    given = [_proved(loop, exact(c), i) for i, c in enumerate(supplied)]
     kernel_rank = loop.n - ex.generic_rank(sp.Matrix(M))
     if not M.free_symbols:
         return _constant(loop, kernel_rank)
