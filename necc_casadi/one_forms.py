@@ -110,7 +110,7 @@ def _scalings(v: Sequence[sp.Expr], z: Sequence[sp.Symbol]) -> Iterable[list[sp.
     for i, s in enumerate(z):
         factor = _single_variable_factor(v, z, i)
         if factor is not None and factor.free_symbols <= {s}:
-            yield [sp.simplify(factor * e) for e in v]
+            yield [sp.cancel(factor * e) for e in v]
 
 
 def _separated(v: Sequence[sp.Expr], z: Sequence[sp.Symbol]) -> Iterable[list[sp.Expr]]:
@@ -136,7 +136,7 @@ def _single_variable_factor(v: Sequence[sp.Expr], z: Sequence[sp.Symbol], i: int
     for j, other in enumerate(v):
         if j == i or other == 0:
             continue
-        value = sp.simplify((sp.diff(v[i], z[j]) - sp.diff(other, z[i])) / other)
+        value = sp.cancel((sp.diff(v[i], z[j]) - sp.diff(other, z[i])) / other)
         if not value.free_symbols <= {z[i]} or (
             rate is not None and ex.is_zero(value - rate) is not True
         ):
@@ -159,7 +159,7 @@ def potential(w: Sequence[sp.Expr], z: Sequence[sp.Symbol]) -> sp.Expr | None:
         rest = slope - sp.diff(c, s)
         if rest == 0:
             continue
-        part = primitive(sp.simplify(rest), s)
+        part = primitive(sp.cancel(rest), s)
         if part is None:
             return None
         c += part
