@@ -45,6 +45,12 @@ class CompiledController:
         self.library.necc_init(xi)
         return np.array(xi, float)
 
+    def init_at(self, x0: Sequence[float]) -> tuple[Vector, int]:
+        """``necc_init_at``: plant state (n,) -> ξ at the minimum of V(x0, ·), (nc,), flags."""
+        xi = (self.real * self.nc)()
+        flags = self.library.necc_init_at(xi, self._array(x0, self.n))
+        return np.array(xi, float), int(flags)
+
     def step(
         self, xi: Sequence[float], x: Sequence[float], dt: float
     ) -> tuple[Vector, Vector, int]:

@@ -19,12 +19,14 @@ from necc_casadi.artifact import Design, write_text
 from necc_casadi.errors import OptionError
 from necc_casadi.export.leaves import Real, leaf
 from necc_casadi.export.networks_c import LANES, CNetwork, c_network, kernels, width
+from necc_casadi.export.sampling import analyse_sampling, largest_stable_time
 from necc_casadi.export.templating import comment, fill, indent
+from necc_casadi.export.vectors import test_vectors
 from necc_casadi.expressions import identifiers
 
 __all__ = ["INTEGRATORS", "Source", "export_c"]
 
-#: Methods that advance ξ over one sample, x held: option -> how the header calls them.
+#: Methods that advance ξ over one sample, x held: option -> how the header calls it.
 INTEGRATORS = {
     "euler": "Euler's method",
     "heun": "Heun's method",
@@ -100,6 +102,8 @@ class Source:
             "necc.h": self.header,
             "necc.c": self.controller,
             "main.c": self.demonstration,
+            "test_vectors.h": self.vectors,
+            "selftest.c": fill("selftest.c"),
             "CMakeLists.txt": fill("CMakeLists.txt"),
         }
 
@@ -129,10 +133,26 @@ class Source:
             sample_define=(
                 f"#define NECC_SAMPLE_TIME {self._real.literal(sample)} /* s */" if sample else ""
             ),
+            sampling=self._sampling,
+            limits="" if design.loop.plant.u_limits else "; never: the model has no limits",
             order=self._order,
             real=self.real,
             integrator_name=INTEGRATORS[self.integrator],
         )
+
+    @property
+    def _sampling(self) -> str:
+        """What the header says about the sample time."""
+        if self.sample_time is None:
+            return ""
+        result = analyse_sampling(self.design, self.sample_time, self.integrator)
+        radius = f"spectral radius {result.spectral_radius:.6g}"
+        lines = [f"Sampled loop, linearised at its equilibrium: {radius}"]
+        if result.largest_stable is not None:
+            lines.append(f"stable up to {result.largest_stable:.3g} s")
+        if result.warning is not None:
+            lines.append(f"WARNING: {result.warning}")
+        return "\n/* " + ";\n * ".join(lines) + ". */"
 
     @property
     def _claims(self) -> str:
@@ -174,9 +194,12 @@ class Source:
             leaves="\n".join(self._leaves),
             parts=indent("\n".join(self._parts)),
             shape=indent("\n".join(self._shape)),
-            law_arguments=", ".join(f"{p}" for p in self._law_arguments),
+            law_arguments=", ".join(self._law_arguments),
             integrator=fill(f"{self.integrator}.c"),
-            xi_star=", ".join(real.literal(v) for v in self.design.xi_star),
+            saturation=self._saturation,
+            saturate="saturate(u)" if self._saturation else "NECC_OK",
+            xi_star=real.literals(self.design.xi_star),
+            init_at=self._init_at,
         )
 
     @cached_property
@@ -210,7 +233,28 @@ class Source:
         inputs = {"grad_hc": grad_hc, "gamma": gamma, "phi_1": phi_1}
         arguments = [("x", x), ("xi", xi)] + [(a, inputs[a]) for a in self._slopes]
         leaves.append(leaf("control_law", arguments, [("u", u), ("xidot", xi_dot)], real))
+        leaves.append(leaf("energy_slope", arguments, [("gradient", V_xi)], real))
         return leaves
+
+    @property
+    def _saturation(self) -> str:
+        limits = self.design.loop.plant.u_limits
+        if limits is None:
+            return ""
+        low, high = (self._real.literals(side) for side in zip(*limits, strict=True))
+        return fill("saturation.c", low=low, high=high)
+
+    @property
+    def _init_at(self) -> str:
+        real = self._real
+        return fill(
+            "init_at.c",
+            law_arguments=", ".join(self._law_arguments),
+            cbrt_eps=real.literal(float(f"{real.eps ** (1 / 3):.1g}")),
+            tiny=real.literal(float(f"{4 * real.eps:.1g}")),
+            sqrt=f"sqrt{real.suffix}",
+            fabs=f"fabs{real.suffix}",
+        )
 
     @property
     def _slopes(self) -> list[str]:
@@ -269,7 +313,7 @@ class Source:
             body += [f"for (i = 0; i < {r}; ++i)", "    s->gamma[i] *= slopes[1];"]
         return declarations + body
 
-    # --- main.c ---------------------------------------------------------------------------------
+    # --- main.c and test_vectors.h --------------------------------------------------------------
 
     @property
     def demonstration(self) -> str:
@@ -284,17 +328,26 @@ class Source:
             sample_time=f"{self._demo_time:.6g}",
             sample_literal=real.literal(self._demo_time),
             plant=leaf("plant", [("x", x), ("u", u)], [("xdot", x_dot)], real),
-            rk4_fractions=", ".join(real.literal(v) for v in (0, 0.5, 0.5, 1)),
-            rk4_weights=", ".join(real.literal(v / 6) for v in (1, 2, 2, 1)),
+            rk4_fractions=real.literals((0, 0.5, 0.5, 1)),
+            rk4_weights=real.literals((1 / 6, 1 / 3, 1 / 3, 1 / 6)),
             digits=9 if real.suffix else 17,
-            x_start=", ".join(real.literal(v) for v in self._demo_start),
+            x_start=real.literals(self._demo_start),
             steps=2000,
             columns="".join(f",{name}" for name in columns),
         )
 
     @property
+    def vectors(self) -> str:
+        """``test_vectors.h``."""
+        return test_vectors(self.design, self._real, self.integrator, self._demo_time)
+
+    @cached_property
     def _demo_time(self) -> float:
-        return self.sample_time or 0.01
+        """The sample time, or one far from the stability limit, in s."""
+        if self.sample_time is not None:
+            return self.sample_time
+        largest = largest_stable_time(self.design, self.integrator)
+        return float(f"{min(0.01, (largest or 0.1) / 10):.1g}")
 
     @property
     def _demo_start(self) -> list[float]:
