@@ -10,7 +10,7 @@ import hashlib
 import json
 import os
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from importlib import metadata
@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import sympy as sp
 
 from necc_casadi import __version__
@@ -67,12 +68,12 @@ class Design:
         """(x*, ξ*) in double precision, (n + nc,)."""
         return np.concatenate([[float(sp.N(v, 20)) for v in self.x_star], self.xi_star])
 
-    def control(self, x: Sequence[float], xi: Sequence[float]) -> tuple[Vector, Vector]:
+    def control(self, x: npt.ArrayLike, xi: npt.ArrayLike) -> tuple[Vector, Vector]:
         """The controller: plant state (n,), controller state (nc,) -> u (m,), ξ̇ (nc,)."""
         u, xi_dot = self.lyapunov.control_law(np.asarray(x, float), np.asarray(xi, float))
         return np.asarray(u, float).ravel(), np.asarray(xi_dot, float).ravel()
 
-    def V(self, z: Sequence[float]) -> float:
+    def V(self, z: npt.ArrayLike) -> float:
         """The Lyapunov function at z = (x, ξ), (n + nc,)."""
         return float(self.lyapunov.V(np.asarray(z, float)))
 
@@ -84,7 +85,7 @@ class Design:
             g = np.asarray(self.lyapunov.gradient(z), float).ravel()
             step = np.linalg.lstsq(np.asarray(self.lyapunov.hessian(z), float), g, rcond=None)[0]
             z = z - step
-            if np.linalg.norm(step) <= 4 * np.finfo(float).eps * max(1.0, np.linalg.norm(z)):
+            if np.linalg.norm(step) <= 4 * np.finfo(float).eps * max(1.0, float(np.linalg.norm(z))):
                 break
         return z
 
@@ -97,7 +98,12 @@ class Design:
         z = self.z_bar
         values = dict(zip(self.loop.z, z, strict=True))
         B = np.array(self.loop.ports.subs(values).evalf(), dtype=float)
-        return self.lyapunov.linearisation(z), B, self._port_jacobian(z), np.zeros((B.shape[1],) * 2)
+        return (
+            self.lyapunov.linearisation(z),
+            B,
+            self._port_jacobian(z),
+            np.zeros((B.shape[1],) * 2),
+        )
 
     def _port_jacobian(self, z: Vector) -> Vector:
         import casadi as ca
@@ -151,9 +157,7 @@ class Design:
         try:
             data = json.loads(text)
             if data.get("format") != FORMAT:
-                raise OutputError(
-                    "output", f"{label} has format {data.get('format')!r}", remedy
-                )
+                raise OutputError("output", f"{label} has format {data.get('format')!r}", remedy)
             return _from_dict(data)
         except (KeyError, TypeError, ValueError, AttributeError, IndexError) as problem:
             raise OutputError("output", f"{label} is not a design: {problem!r}", remedy) from None
@@ -244,6 +248,8 @@ def _to_dict(design: Design) -> dict[str, Any]:
             "functions": text(design.casimirs.functions),
             "kernel_rank": design.casimirs.kernel_rank,
             "generic_count": design.casimirs.generic_count,
+            "origins": list(design.casimirs.origins),
+            "count_proved": design.casimirs.count_proved,
         },
         "target": text(design.x_star),
         "verdict": {
@@ -286,7 +292,8 @@ def _from_dict(data: Mapping[str, Any]) -> Design:
 
     def matrix(value: Any, columns: int = 0) -> sp.ImmutableMatrix:
         rows = [list(read(row)) for row in value]
-        return sp.ImmutableMatrix(len(rows), len(rows[0]) if rows else columns, sum(rows, []))
+        entries = [entry for row in rows for entry in row]
+        return sp.ImmutableMatrix(len(rows), len(rows[0]) if rows else columns, entries)
 
     z = tuple(symbols.values())
     n = len(model["states"])
@@ -307,8 +314,10 @@ def _from_dict(data: Mapping[str, Any]) -> Design:
         properties=properties[:split],
     )
     controller = Controller(
-        z[n:],
-        *(matrix(model[key]) for key in ("Jc", "Rc", "Gc")),
+        xi=z[n:],
+        Jc=matrix(model["Jc"]),
+        Rc=matrix(model["Rc"]),
+        Gc=matrix(model["Gc"]),
         properties=properties[split:],
     )
     verdict = data["verdict"]
@@ -318,6 +327,8 @@ def _from_dict(data: Mapping[str, Any]) -> Design:
             functions=read(data["casimirs"]["functions"]),
             kernel_rank=data["casimirs"]["kernel_rank"],
             generic_count=data["casimirs"]["generic_count"],
+            origins=tuple(data["casimirs"]["origins"]),
+            count_proved=data["casimirs"]["count_proved"],
         ),
         x_star=read(data["target"]),
         verdict=Verdict(

@@ -1,12 +1,20 @@
-"""Casimirs of the closed loop: ker Jcl ∩ ker Rcl to closed forms, counted and proved."""
+"""Casimirs of the closed loop: ker Jcl ∩ ker Rcl to closed forms, counted and proved.
+
+eq. CasimirCondition: ∇Cᵀ(Jcl − Rcl) = 0 for every z; because Rcl ⪰ 0 this is
+∇C ∈ ker Jcl ∩ ker Rcl.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import sympy as sp
 
 from necc_casadi import exact as ex
+from necc_casadi.ansatz import Search, find_closed_forms, independent, rates
+from necc_casadi.errors import ModelError
+from necc_casadi.involution import count_casimirs
 from necc_casadi.loop import ClosedLoop
 
 __all__ = ["Casimirs", "find_casimirs"]
@@ -19,17 +27,111 @@ class Casimirs:
     functions: tuple[sp.Expr, ...]  # (r,) of z
     kernel_rank: int  # generic rank of ker Jcl ∩ ker Rcl
     generic_count: int  # how many exist (theory: involutive closure)
+    origins: tuple[str, ...] = ()  # (r,) how each was found
+    count_proved: bool = True  # that no more than `generic_count` exist
 
     @property
     def complete(self) -> bool:
         """Whether every Casimir that exists is a function of the closed forms in hand."""
         return len(self.functions) == self.generic_count
 
+    @property
+    def note(self) -> str | None:
+        """What is missing and how to supply it; None where nothing is."""
+        missing = self.generic_count - len(self.functions)
+        if missing <= 0:
+            return None
+        return (
+            f"{self.generic_count} Casimirs exist, {len(self.functions)} found in closed form. "
+            "Write the others into the model file: casimirs = [...]; each is proved before use."
+        )
 
-def find_casimirs(loop: ClosedLoop) -> Casimirs:
-    """Constant kernel only, for now."""
-    stacked = sp.Matrix.vstack(sp.Matrix(loop.J), sp.Matrix(loop.R))
-    basis = ex.kernel(stacked)
-    z = sp.Matrix(loop.z)
-    functions = tuple((basis[:, i].T * z)[0] for i in range(basis.cols))
-    return Casimirs(functions, basis.cols, basis.cols)
+
+def find_casimirs(
+    loop: ClosedLoop,
+    supplied: Sequence[sp.Expr] = (),
+    target: Mapping[sp.Symbol, sp.Expr] | None = None,
+) -> Casimirs:
+    """Count the Casimirs of `loop` and find closed forms (eq. CasimirCondition).
+
+    Parameters
+    ----------
+    supplied
+        Casimirs that the user knows; they come first, each is proved.
+    target
+        Plant states at the target; forms without poles there are preferred.
+
+    Raises
+    ------
+    ModelError
+        ``casimir_disproved`` for a supplied function that is not a Casimir, or that cannot be
+        proved to be one.
+    """
+    M = loop.M
+    given = [_proved(loop, sp.sympify(c), i) for i, c in enumerate(supplied)]
+    kernel_rank = loop.n - ex.generic_rank(sp.Matrix(M))
+    if not M.free_symbols:
+        return _constant(loop, given, kernel_rank)
+    forms: list[tuple[sp.Expr, str]] = []
+    for c in given:
+        if independent([f for f, _ in forms], c, loop.z):
+            forms.append((c, "supplied"))
+    search = Search(loop, kernel_rank, dict(target or {}))
+    return _counted(loop, search, forms, kernel_rank)
+
+
+def _constant(loop: ClosedLoop, given: Sequence[sp.Expr], kernel_rank: int) -> Casimirs:
+    """All Casimirs of a constant structure: vᵀz for a basis v of the kernel."""
+    basis = ex.kernel(sp.Matrix(loop.M).T)
+    forms: list[tuple[sp.Expr, str]] = []
+    linear = [(linear_form(basis[:, i], loop.z), "constant kernel") for i in range(basis.cols)]
+    for c, origin in [*((c, "supplied") for c in given), *linear]:
+        if not given or independent([f for f, _ in forms], c, loop.z):
+            forms.append((c, origin))
+    functions, origins = zip(*forms, strict=True) if forms else ((), ())
+    return Casimirs(tuple(functions), kernel_rank, kernel_rank, tuple(origins))
+
+
+def linear_form(v: sp.MatrixBase, z: Sequence[sp.Symbol]) -> sp.Expr:
+    """vᵀz."""
+    return sp.Add(*[v[i] * s for i, s in enumerate(z) if v[i] != 0])
+
+
+def _counted(
+    loop: ClosedLoop, search: Search, forms: list[tuple[sp.Expr, str]], kernel_rank: int
+) -> Casimirs:
+    """Constant sub-kernel, then the count, then closed forms until the count is reached."""
+    find_closed_forms(search, forms, kernel_rank, constant_only=True)
+    count, proved = count_casimirs(sp.Matrix(loop.M), loop.z, len(forms))
+    if len(forms) < count:
+        find_closed_forms(search, forms, count)
+    functions = tuple(f for f, _ in forms)
+    return Casimirs(functions, kernel_rank, count, tuple(o for _, o in forms), proved)
+
+
+def _proved(loop: ClosedLoop, c: sp.Expr, index: int) -> sp.Expr:
+    unknown = sorted(map(str, c.free_symbols - set(loop.z)))
+    label = f"casimirs[{index}] = {c}"
+    if unknown:
+        raise ModelError(
+            "undefined_symbol",
+            f"{label} contains {', '.join(unknown)}, not among {', '.join(loop.states)}",
+            "A Casimir is a function of the plant's and the controller's states.",
+        )
+    for j, rate in enumerate(rates(c, loop)):
+        verdict = ex.is_zero(rate)
+        if verdict is not True:
+            how = "is not 0" if verdict is False else "could not be shown to be 0"
+            shown = str(sp.factor_terms(rate))
+            raise ModelError(
+                "casimir_disproved",
+                f"{label} is not a Casimir: entry {j} of ∇Cᵀ(Jcl − Rcl) = {shown[:80]} {how}",
+                "Every entry of ∇Cᵀ(Jcl − Rcl) must vanish for all states; correct or drop it.",
+            )
+    if not c.free_symbols:
+        raise ModelError(
+            "casimir_disproved",
+            f"{label} is a constant",
+            "A Casimir must depend on the states; drop it.",
+        )
+    return c

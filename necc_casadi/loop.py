@@ -82,9 +82,7 @@ class ClosedLoop:
     @cached_property
     def R(self) -> sp.ImmutableMatrix:
         """Rcl, (n + nc) × (n + nc)."""
-        return sp.ImmutableMatrix(
-            sp.diag(sp.Matrix(self.plant.R), sp.Matrix(self.controller.Rc))
-        )
+        return sp.ImmutableMatrix(sp.diag(sp.Matrix(self.plant.R), sp.Matrix(self.controller.Rc)))
 
     @cached_property
     def M(self) -> sp.ImmutableMatrix:

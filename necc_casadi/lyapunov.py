@@ -1,9 +1,9 @@
 """V = Φ(H + Hc, C), its derivatives, and the control law of Lemma 1, in CasADi MX.
 
-    C = K(Σ βᵢ(cᵢ))  or  K(c₁, …, c_r)                         eq. casimir_parameterization
-    u  = −Gcᵀ∇Hc − D Gᵀ ∂V/∂x                                 Lemma 1, with u = −y_c + v
-    ξ̇  = (Jc − Rc)∇Hc + Gc Gᵀ∇H − Gc Dc Gcᵀ ∂V/∂ξ
-    ż  = (M/Φ₁ − 𝒢𝒟𝒢ᵀ)∇V,  M = Jcl − Rcl                      the same loop, because M∇C = 0
+C = K(Σ βᵢ(cᵢ))  or  K(c₁, …, c_r)                         eq. casimir_parameterization
+u  = −Gcᵀ∇Hc − D Gᵀ ∂V/∂x                                 Lemma 1, with u = −y_c + v
+ξ̇  = (Jc − Rc)∇Hc + Gc Gᵀ∇H − Gc Dc Gcᵀ ∂V/∂ξ
+ż  = (M/Φ₁ − 𝒢𝒟𝒢ᵀ)∇V,  M = Jcl − Rcl                      the same loop, because M∇C = 0
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 
 import casadi as ca
 import numpy as np
@@ -47,7 +48,7 @@ class Form:
     def split(self, weights: Vector) -> list[Vector]:
         """The weight vectors of :attr:`networks`; also splits a CasADi vector."""
         ends = np.cumsum([0, *[network.size for network in self.networks]])
-        return [weights[a:b] for a, b in zip(ends[:-1], ends[1:], strict=True)]
+        return [weights[a:b] for a, b in pairwise(ends)]
 
     def initial(self, rng: np.random.Generator) -> Vector:
         """Random weights for all networks, (size,)."""
@@ -144,25 +145,25 @@ class LyapunovFunction:
 
     @cached_property
     def V(self) -> ca.Function:
-        """z -> V(z), scalar."""
+        """Z -> V(z), scalar."""
         z = self._z()
         return ca.Function("V", [z], [self(z)], ["z"], ["V"])
 
     @cached_property
     def gradient(self) -> ca.Function:
-        """z -> ∇V, (n + nc,)."""
+        """Z -> ∇V, (n + nc,)."""
         z = self._z()
         return ca.Function("grad_V", [z], [ca.gradient(self(z), z)], ["z"], ["grad_V"])
 
     @cached_property
     def hessian(self) -> ca.Function:
-        """z -> ∇²V, (n + nc) × (n + nc)."""
+        """Z -> ∇²V, (n + nc) × (n + nc)."""
         z = self._z()
         return ca.Function("hess_V", [z], [ca.hessian(self(z), z)[0]], ["z"], ["hess_V"])
 
     @cached_property
     def phi_slope(self) -> ca.Function:
-        """z -> Φ₁ = ∂Φ/∂(H + Hc), scalar."""
+        """Z -> Φ₁ = ∂Φ/∂(H + Hc), scalar."""
         z, e, c = self._z(), ca.MX.sym("e"), ca.MX.sym("c")
         w = ca.DM(self.weights)
         slope = ca.Function("slope", [e, c], [ca.gradient(self.form.outer(w)(e, c), e)])
@@ -187,7 +188,7 @@ class LyapunovFunction:
 
     @cached_property
     def vector_field(self) -> ca.Function:
-        """z -> ż of the damped closed loop, plant and controller as they are built."""
+        """Z -> ż of the damped closed loop, plant and controller as they are built."""
         terms = self.terms
         z = self._z()
         x, xi = z[: terms.n], z[terms.n :]

@@ -21,6 +21,15 @@ __all__ = ["ACTIVATIONS", "MonotonePhi", "Network", "Vector"]
 
 Vector = npt.NDArray[np.float64]
 
+#: Least curvature of a quadratic part, in units of energy/length².
+KAPPA_MIN = 0.05
+#: Output layers start this much smaller beside a quadratic part.
+_SMALL_OUTPUT = 0.1
+#: Cost of a change in a hidden layer relative to the output layer, in which V is linear.
+_HIDDEN_COST = 100.0
+#: Cost of moving the centre of a quadratic part: weak, its place is free.
+_CENTER_COST = 1e-2
+
 
 def _squareplus(v: ca.MX) -> ca.MX:
     return (v + ca.sqrt(v * v + 4)) / 2
@@ -72,14 +81,49 @@ class Network:
         return tail[:d], tail[d:]
 
     def initial(self, rng: np.random.Generator) -> Vector:
-        """Random weights, uniform with variance 1/(3 fan-in) (LeCun 1998); κ = 1, o = 0."""
+        """Random weights, uniform with variance 1/(3 fan-in) (LeCun 1998); κ = 1, o = 0.
+
+        Beside a quadratic part the output layer starts small, so that the quadratic leads.
+        """
         parts = []
-        for rows, columns in self.shapes:
-            bound = columns**-0.5
+        for index, (rows, columns) in enumerate(self.shapes):
+            last = index == len(self.hidden)
+            bound = columns**-0.5 * (_SMALL_OUTPUT if last and self.quadratic else 1.0)
             parts.append(rng.uniform(-bound, bound, rows * columns + rows))
         if self.quadratic:
             parts.append(np.concatenate([np.ones(self.inputs), np.zeros(self.inputs)]))
         return np.concatenate(parts)
+
+    def units(self, length: Vector, energy: float) -> tuple[Vector, Vector]:
+        """(σ, τ) with f = energy·f̂(v/length) when weights = σ∘ŵ + τ and ŵ are those of f̂."""
+        parts = []
+        for index, (rows, columns) in enumerate(self.shapes):
+            gain = energy if index == len(self.hidden) else 1.0
+            W = np.full((rows, columns), gain) / (length if index == 0 else 1.0)
+            parts += [W.ravel(), np.full(rows, gain)]
+        if self.quadratic:
+            parts += [energy / length**2, length]
+        sigma = np.concatenate(parts)
+        return sigma, np.zeros(sigma.size)
+
+    @property
+    def cost(self) -> Vector:
+        """Relative cost of changing each weight in training: hidden layers are stiff."""
+        parts = []
+        for index, (rows, columns) in enumerate(self.shapes):
+            hidden = index < len(self.hidden)
+            parts.append(np.full(rows * columns + rows, _HIDDEN_COST if hidden else 1.0))
+        if self.quadratic:
+            parts += [np.ones(self.inputs), np.full(self.inputs, _CENTER_COST)]
+        return np.concatenate(parts)
+
+    @property
+    def lower(self) -> Vector:
+        """Lower bounds of the weights of f̂: κ stays positive."""
+        lower = np.full(self.size, -np.inf)
+        if self.quadratic:
+            lower[-2 * self.inputs : -self.inputs] = KAPPA_MIN
+        return lower
 
     def __call__(self, weights: ca.MX, v: ca.MX) -> ca.MX:
         """f(v), scalar, for `weights` (size,) and `v` (d,)."""
@@ -121,6 +165,24 @@ class MonotonePhi:
         h = self.hidden
         a = rng.uniform(-0.1, 0.1, h) - np.log(h)
         return np.concatenate([a, rng.uniform(-1, 0, h), rng.uniform(-0.5, 0.5, 2 * h)])
+
+    def units(self, length: Vector, energy: float) -> tuple[Vector, Vector]:
+        """(σ, τ) with Φ = energy·Φ̂(v/energy) when weights = σ∘ŵ + τ; `length` is not used."""
+        h = self.hidden
+        sigma, tau = np.ones(4 * h), np.zeros(4 * h)
+        tau[:h], tau[h : 2 * h] = np.log(energy), -np.log(energy)
+        sigma[2 * h : 3 * h] = 1 / energy
+        return sigma, tau
+
+    @property
+    def cost(self) -> Vector:
+        """Relative cost of changing each weight in training."""
+        return np.repeat([1.0, _HIDDEN_COST, _HIDDEN_COST, _HIDDEN_COST], self.hidden)
+
+    @property
+    def lower(self) -> Vector:
+        """Lower bounds of the weights: none."""
+        return np.full(self.size, -np.inf)
 
     def __call__(self, weights: ca.MX, v: ca.MX) -> ca.MX:
         """Φ(v[0], v[1]), scalar."""

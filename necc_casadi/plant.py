@@ -162,9 +162,7 @@ def _hamiltonian(H: sp.Expr, x: tuple[sp.Symbol, ...]) -> sp.Expr:
 def check_states(symbols: Sequence[sp.Symbol], label: str) -> None:
     """Raise ModelError unless `symbols` are distinct sympy symbols, at least one."""
     if not symbols:
-        raise ModelError(
-            "shape", f"{label} is empty", f"{label} needs at least one sympy symbol."
-        )
+        raise ModelError("shape", f"{label} is empty", f"{label} needs at least one sympy symbol.")
     for i, symbol in enumerate(symbols):
         if not isinstance(symbol, sp.Symbol):
             raise ModelError(
@@ -278,7 +276,7 @@ def check_psd(R: sp.Matrix, label: str, code_symmetric: str, code_psd: str) -> P
                     code_symmetric,
                     f"{label} must be symmetric: {label}[{j},{i}] = {R[j, i]}, "
                     f"{label}[{i},{j}] = {R[i, j]}",
-                    f"Make the two entries equal; a skew part belongs into {label.replace('R','J')}.",
+                    "Make the two entries equal; the skew part belongs into the other matrix.",
                 )
             proved = proved and verdict is True
     verdict = ex.is_positive_semidefinite(sp.Matrix(R))
@@ -294,12 +292,18 @@ def _not_psd(R: sp.Matrix, label: str, point: Mapping[sp.Symbol, sp.Expr]) -> tu
     for i in range(R.rows):
         value = R[i, i].subs(point)
         if not value.free_symbols and ex.sign(value) == -1:
-            return f"{label} must be positive semidefinite: {label}[{i},{i}] = {value}{where}", remedy
+            return (
+                f"{label} must be positive semidefinite: {label}[{i},{i}] = {value}{where}",
+                remedy,
+            )
     value = sp.Matrix(R.subs(point))
     if value.free_symbols:
         return f"{label} must be positive semidefinite: a diagonal entry is negative", remedy
     lowest = np.linalg.eigvalsh(np.array(value.evalf(), dtype=float))[0]
-    return f"{label} must be positive semidefinite: its least eigenvalue is {lowest:.3g}{where}", remedy
+    return (
+        f"{label} must be positive semidefinite: its least eigenvalue is {lowest:.3g}{where}",
+        remedy,
+    )
 
 
 def check_rank(G: sp.Matrix, label: str, code: str) -> Property:

@@ -1,0 +1,331 @@
+"""Closed forms of Casimirs: a linear solve over functions that occur in the model.
+
+The unknown is C = Σ aₖφₖ(z) with rational aₖ. At points of a finite field ∇CᵀM = 0 is a linear
+system in a; its null vectors are candidates, and each is proved symbolically before it is used.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from itertools import combinations_with_replacement, product
+
+import numpy as np
+import sympy as sp
+
+from necc_casadi import exact as ex
+from necc_casadi.loop import ClosedLoop
+from necc_casadi.one_forms import integrated_kernel, primitive
+from necc_casadi.specialise import Residues, Unspecialised, nullspace, pivots, rank, values
+
+__all__ = ["Search", "find_closed_forms", "independent", "rates"]
+
+_MOST_WORDS = 1100
+_MOST_PROOFS = 40
+_PRIMES_USED = 3
+
+Forms = list[tuple[sp.Expr, str]]  # (Casimir, how it was found)
+
+
+@dataclass(frozen=True, eq=False)
+class Search:
+    """A loop whose Casimirs are sought; what the search needs is computed once."""
+
+    loop: ClosedLoop
+    kernel_rank: int
+    target: Mapping[sp.Symbol, sp.Expr] = field(default_factory=dict)
+
+    @cached_property
+    def support(self) -> tuple[sp.Symbol, ...]:
+        """The states on which a Casimir can depend: nonzero in some vector of the kernel."""
+        M, z = self.loop.M, self.loop.z
+        if self.kernel_rank == 0:
+            return ()
+        table = values(list(M), 1)[0].reshape(M.shape)
+        full = rank(table)
+        return tuple(s for i, s in enumerate(z) if rank(np.delete(table, i, axis=0)) == full)
+
+    @cached_property
+    def columns(self) -> list[list[tuple[int, sp.Expr]]]:
+        """Nonzero entries (row, value) of the columns of M that span its image generically."""
+        M = self.loop.M
+        table: dict[int, list[tuple[int, sp.Expr]]] = {
+            j: [] for j in pivots(values(list(M), 1)[0].reshape(M.shape))
+        }
+        for (i, j), entry in M.todok().items():
+            if j in table:
+                table[j].append((i, entry))
+        return list(table.values())
+
+    @cached_property
+    def functions(self) -> list[sp.Expr]:
+        """Functions of the support that occur in M, their partners, powers and primitives."""
+        return _occurring(self.loop.M.todok().values(), self.support)
+
+    @cached_property
+    def energy_functions(self) -> list[sp.Expr]:
+        """Functions of the support that occur in H as well."""
+        terms = sp.Add.make_args(sp.expand(self.loop.plant.H))
+        return [f for f in _occurring(terms, self.support) if f not in self.functions]
+
+    def has_pole(self, c: sp.Expr) -> bool:
+        """Whether `c` or its gradient is not finite at the target."""
+        for part in (c, *[sp.diff(c, s) for s in c.free_symbols]):
+            known = {s: v for s, v in self.target.items() if s in part.free_symbols}
+            if known and part.subs(known).has(sp.zoo, sp.nan, sp.oo, -sp.oo):
+                return True
+        return False
+
+
+def rates(c: sp.Expr, loop: ClosedLoop) -> list[sp.Expr]:
+    """Entries of ∇cᵀ(Jcl − Rcl); all vanish iff `c` is a Casimir."""
+    free = c.free_symbols
+    slopes = {i: sp.diff(c, s) for i, s in enumerate(loop.z) if s in free}
+    totals: dict[int, list[sp.Expr]] = {}
+    for (i, j), entry in loop.M.todok().items():
+        if i in slopes:
+            totals.setdefault(j, []).append(slopes[i] * entry)
+    return [sp.Add(*totals.get(j, [])) for j in range(loop.n)]
+
+
+def independent(known: Sequence[sp.Expr], c: sp.Expr, z: Sequence[sp.Symbol]) -> bool:
+    """Whether ∇c is independent of the gradients of `known` at generic points."""
+    functions = [*known, c]
+    jacobian = [
+        sp.diff(f, s) if s in f.free_symbols else sp.Integer(0) for f in functions for s in z
+    ]
+    try:
+        tables = values(jacobian, 2).reshape(2, len(functions), len(z))
+    except Unspecialised:
+        return ex.generic_rank(sp.Matrix(len(functions), len(z), jacobian)) == len(functions)
+    return any(rank(t) == len(functions) for t in tables)
+
+
+def find_closed_forms(
+    search: Search, forms: Forms, wanted: int, constant_only: bool = False
+) -> None:
+    """Append proved, independent Casimirs to `forms` until there are `wanted`."""
+    if len(forms) >= wanted:
+        return
+    try:
+        variables = search.support
+        if constant_only:
+            _adopt(search, forms, wanted, _linear(search, variables), "constant kernel")
+            return
+        for words, origin in _vocabularies(search):
+            if len(forms) >= wanted:
+                return
+            if origin == "one-form":
+                _adopt(search, forms, wanted, integrated_kernel(search.loop), "integrated one-form")
+            elif len(words) <= _MOST_WORDS:
+                _adopt(search, forms, wanted, _solutions(search, words), origin)
+    except Unspecialised:
+        return
+
+
+def _vocabularies(search: Search) -> Iterable[tuple[list[sp.Expr], str]]:
+    """Growing sets of functions, simplest first."""
+    variables, functions = list(search.support), search.functions
+    single = _unique([*variables, *_with_constants(search, variables), *functions])
+    yield single, "functions of the model"
+    trig = _trig_products(functions, variables)
+    if trig:
+        yield _unique([*variables, *trig]), "trigonometric ansatz"
+        yield _unique([*variables, *trig, *_times(variables, trig)]), "trigonometric ansatz"
+    pairs = _unique([*single, *_products(single, 2)])
+    yield pairs, "ansatz of degree 2"
+    yield _unique([*single, *_products(single, 2), *_products(single, 3)]), "ansatz of degree 3"
+    wider = _unique([*single, *search.energy_functions])
+    yield _unique([*wider, *_products(wider, 2)]), "ansatz of degree 2"
+    powers = [s**k for s in variables for k in range(1, 5)]
+    yield _unique([*powers, *[p for d in (2, 3, 4) for p in _products(variables, d)]]), "polynomial"
+    yield [], "one-form"
+
+
+def _unique(words: Iterable[sp.Expr]) -> list[sp.Expr]:
+    return [w for w in dict.fromkeys(words) if w.free_symbols]
+
+
+def _products(words: Sequence[sp.Expr], degree: int) -> list[sp.Expr]:
+    if len(words) ** degree > 40 * _MOST_WORDS:
+        return [sp.Symbol(f"_too_many{k}") for k in range(_MOST_WORDS + 1)]
+    return [sp.Mul(*c) for c in combinations_with_replacement(words, degree)]
+
+
+def _times(left: Sequence[sp.Expr], right: Sequence[sp.Expr]) -> list[sp.Expr]:
+    return [a * b for a in left for b in right]
+
+
+def _trig_products(functions: Sequence[sp.Expr], variables: Sequence[sp.Symbol]) -> list[sp.Expr]:
+    """Products with at most one sine or cosine of each angle, fewest factors first.
+
+    Where angles occur at all, every state may be one: a yaw angle does not occur in M.
+    """
+    found = dict.fromkeys(f.args[0] for f in functions if isinstance(f, (sp.sin, sp.cos)))
+    angles = list(dict.fromkeys([*found, *variables]) if found else found)
+    if 3 ** len(angles) > _MOST_WORDS:
+        angles = list(found)
+    if not angles or 3 ** len(angles) > _MOST_WORDS:
+        return []
+    choices = [(sp.Integer(1), sp.cos(a), sp.sin(a)) for a in angles]
+    words = [sp.Mul(*choice) for choice in product(*choices)]
+    return sorted((w for w in words if w != 1), key=lambda w: (len(sp.Mul.make_args(w)), str(w)))
+
+
+def _with_constants(search: Search, variables: Sequence[sp.Symbol]) -> list[sp.Expr]:
+    """κ·zᵢ for the irrational constants κ that occur: coefficients are sought among rationals."""
+    constants = {
+        part
+        for entry in search.loop.M.todok().values()
+        for part in sp.preorder_traversal(entry)
+        if part.is_number and not part.is_Rational and (part.is_Atom or part.is_Pow)
+    }
+    return [k * s for k in sorted(constants, key=str)[:4] for s in variables]
+
+
+def _occurring(entries: Iterable[sp.Expr], support: Sequence[sp.Symbol]) -> list[sp.Expr]:
+    allowed, found = set(support), {}
+    for entry in dict.fromkeys(entries):
+        for f in _parts(sp.sympify(entry)):
+            if f.free_symbols and f.free_symbols <= allowed and not f.is_Symbol:
+                found[f] = f.count_ops()
+    return sorted(found, key=lambda f: (found[f], str(f)))
+
+
+def _parts(entry: sp.Expr) -> Iterable[sp.Expr]:
+    for f in entry.atoms(sp.Function):
+        yield f
+        if isinstance(f, (sp.sin, sp.cos, sp.tan)):
+            yield from (sp.cos(f.args[0]), sp.sin(f.args[0]))
+        if isinstance(f, sp.exp):
+            yield 1 / f
+    numerator, denominator = sp.fraction(sp.together(entry))
+    for part in (numerator, denominator):
+        for factor in sp.Mul.make_args(sp.factor_terms(part)):
+            base, exponent = factor.as_base_exp()
+            if not base.free_symbols or base.is_Function:
+                continue
+            yield sp.log(base)
+            yield base
+            if part is denominator:
+                yield from (1 / base, base**-2)
+            if exponent.is_Rational and not exponent.is_Integer:
+                yield from (base ** (exponent + k) for k in (-1, 0, 1))
+    if len(entry.free_symbols) == 1:
+        (s,) = entry.free_symbols
+        antiderivative = primitive(entry, s)
+        if antiderivative is not None:
+            yield antiderivative.as_independent(s, as_Add=True)[1].as_independent(s, as_Add=False)[
+                1
+            ]
+
+
+def _linear(search: Search, variables: Sequence[sp.Symbol]) -> list[sp.Expr]:
+    """All constant v with vᵀM(z) ≡ 0, as vᵀz with the reduced-echelon basis."""
+    vectors = _null_vectors(search, variables)
+    if not vectors:
+        return []
+    basis = ex.kernel(ex.kernel(sp.Matrix(vectors)).T)
+    return [sp.Add(*[basis[i, k] * s for i, s in enumerate(variables)]) for k in range(basis.cols)]
+
+
+def _solutions(search: Search, words: Sequence[sp.Expr]) -> list[sp.Expr]:
+    vectors = _null_vectors(search, words)
+    return [
+        _normalised(
+            sp.Add(*[a * w for a, w in zip(v, words, strict=True) if a != 0]), search.loop.z
+        )
+        for v in vectors
+    ]
+
+
+def _normalised(c: sp.Expr, z: Sequence[sp.Symbol]) -> sp.Expr:
+    """Primitive integer coefficients; the first linear term positive, or the leading one."""
+    content, part = c.primitive()
+    c = sp.Add(*sp.Add.make_args(part)) if content != 0 else c
+    linear = [c.coeff(s) for s in z if s in sp.Add.make_args(c) or -s in sp.Add.make_args(c)]
+    negative = sp.sign(linear[0]) == -1 if linear else c.could_extract_minus_sign()
+    return -c if negative else c
+
+
+def _null_vectors(search: Search, words: Sequence[sp.Expr]) -> list[list[sp.Rational]]:
+    """Rational a with ∇(Σ aₖφₖ)ᵀM = 0 at random points of several finite fields."""
+    if not words:
+        return []
+    per_point = max(1, len(search.support) - search.kernel_rank)
+    points = 13 * len(words) // (10 * per_point) + 6
+    z = search.loop.z
+    place = {s: i for i, s in enumerate(z)}
+    slopes = [(k, place[s], sp.diff(w, s)) for k, w in enumerate(words) for s in w.free_symbols]
+    used = {i for _, i, _ in slopes}
+    entries = [(i, j, e) for j, column in enumerate(search.columns) for i, e in column if i in used]
+    shape = (points, len(z), len(search.columns), len(words))
+    return nullspace(lambda prime: _system(slopes, entries, shape, prime), _PRIMES_USED)
+
+
+def _system(
+    slopes: Sequence[tuple[int, int, sp.Expr]],
+    entries: Sequence[tuple[int, int, sp.Expr]],
+    shape: tuple[int, int, int, int],
+    prime: int,
+) -> Residues:
+    """Rows (point, column j of M), columns k: Σᵢ Mᵢⱼ ∂ᵢφₖ.
+
+    `slopes` holds (k, i, ∂ᵢφₖ), `entries` holds (i, j, Mᵢⱼ), `shape` the numbers of points, of
+    states, of columns j and of functions φ.
+    """
+    points, states, columns, words = shape
+    residues = values([e for *_, e in slopes] + [e for *_, e in entries], points, prime=prime)
+    gradient = np.zeros((points, states, words), dtype=np.int64)
+    for at, (k, i, _) in enumerate(slopes):
+        gradient[:, i, k] = residues[:, at]
+    result = np.zeros((points, columns, words), dtype=np.int64)
+    for at, (i, j, _) in enumerate(entries):
+        weight = residues[:, len(slopes) + at][:, None]
+        result[:, j, :] = (result[:, j, :] + weight * gradient[:, i, :]) % prime
+    flat = result.reshape(-1, words)
+    return flat[np.any(flat != 0, axis=1)] if np.any(flat) else flat[:1]
+
+
+def _adopt(
+    search: Search, forms: Forms, wanted: int, candidates: Sequence[sp.Expr], origin: str
+) -> None:
+    """Take candidates that are new and proved: finite and regular at the target first."""
+    ordered = sorted(
+        enumerate(candidates),
+        key=lambda t: (search.has_pole(t[1]), len(sp.Add.make_args(t[1])), t[0]),
+    )
+    if origin == "constant kernel":
+        ordered = list(enumerate(candidates))
+    for regular_only in (True, False):
+        tried = 0
+        for _, c in ordered:
+            if len(forms) >= wanted or tried >= _MOST_PROOFS:
+                break
+            if regular_only and not _regular(search, [*[f for f, _ in forms], c]):
+                continue
+            if independent([f for f, _ in forms], c, search.loop.z):
+                tried += 1
+                if all(ex.is_zero(rate) is True for rate in rates(c, search.loop)):
+                    forms.append((c, origin))
+
+
+def _regular(search: Search, functions: Sequence[sp.Expr]) -> bool:
+    """Whether the gradients are independent at the target, for generic ξ."""
+    if not search.target:
+        return False
+    z = search.loop.z
+    entries = [
+        sp.diff(f, s) if s in f.free_symbols else sp.Integer(0) for f in functions for s in z
+    ]
+    entries = [
+        e.subs({s: v for s, v in search.target.items() if s in e.free_symbols}) for e in entries
+    ]
+    if any(e.has(sp.zoo, sp.nan, sp.oo) for e in entries):
+        return False
+    try:
+        table = values(entries, 1).reshape(len(functions), len(z))
+    except Unspecialised:
+        return False
+    return rank(table) == len(functions)

@@ -1,0 +1,137 @@
+"""certify(design): run the proofs and collect what holds."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, fields
+from typing import Any
+
+from necc_casadi.artifact import Design
+from necc_casadi.certificate.claim import Claim
+from necc_casadi.certificate.decrease import prove_attraction, prove_decrease, prove_only_stable
+from necc_casadi.certificate.enclosures import Potential
+from necc_casadi.certificate.equilibrium import Equilibrium, prove_equilibrium
+from necc_casadi.certificate.intervals import self_test
+from necc_casadi.errors import OutputError
+
+__all__ = ["FORMAT", "Certificate", "certify"]
+
+#: Version of the layout of certificate.json.
+FORMAT = 1
+
+Report = Callable[[str, float], None]
+
+
+@dataclass(frozen=True)
+class Certificate:
+    """What is proved about a design, for the continuous-time, unsaturated loop.
+
+    Every claim is about the V of the stored weights, read as exact binary numbers.
+    """
+
+    design_hash: str  # SHA-256 of design.json
+    claims: tuple[Claim, ...]
+    z_bar: tuple[float, ...]  # (N,)
+    enclosure: float | None  # the minimum of V is this close to z_bar
+    mu: float | None  # ∇²V ⪰ μI on the ball around z*
+    radius: float | None  # of that ball
+    bound_rigorous: float | None  # ‖z̄ − z*‖ ≤ g/μ
+    stability: str | None  # "asymptotic", "stable" or None
+    level: float | None = None  # c of the region {V ≤ c}
+    limited_by: str | None = None
+    domain_share: float | None = None
+    is_global: bool = False
+
+    @property
+    def certified(self) -> bool:
+        """Whether every claim that exit code 0 rests on holds."""
+        needed = {"equilibrium", "decrease"}
+        held = {claim.name for claim in self.claims if claim.holds}
+        return needed <= held and self.stability is not None
+
+    def to_json(self) -> str:
+        """The content of certificate.json."""
+        data = {"format": FORMAT, **asdict(self)}
+        return json.dumps(_finite(data), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+
+    @classmethod
+    def from_json(cls, text: str, label: str = "certificate.json") -> Certificate:
+        """Read what :meth:`to_json` wrote.
+
+        Raises
+        ------
+        OutputError
+            When it is not a certificate of this format.
+        """
+        remedy = f"Design it again; this version reads format {FORMAT}."
+        try:
+            data = json.loads(text)
+            if data.pop("format") != FORMAT:
+                raise OutputError("output", f"{label} has another format", remedy)
+            data["claims"] = tuple(Claim(**claim) for claim in data["claims"])
+            data["z_bar"] = tuple(float(v) for v in data["z_bar"])
+            return cls(**{f.name: data[f.name] for f in fields(cls)})
+        except (KeyError, TypeError, ValueError, AttributeError) as problem:
+            raise OutputError(
+                "output", f"{label} is not a certificate: {problem!r}", remedy
+            ) from None
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {k: _finite(v) for k, v in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_finite(v) for v in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def certify(design: Design, *, region: bool = True, report: Report | None = None) -> Certificate:
+    """Prove what can be proved about a design; `report` hears (stage, share done)."""
+    told = report or (lambda stage, share: None)
+    if not self_test():
+        claim = Claim("arithmetic", False, "this machine does not round as IEEE 754 says")
+        return _collect(design, (claim,), Equilibrium(design.z_bar, math.inf), None)
+    told("equilibrium", 0.0)
+    potential = Potential(design)
+    equilibrium = prove_equilibrium(potential)
+    told("decrease", 0.5)
+    claims = [_equilibrium_claim(equilibrium), *prove_decrease(design)]
+    claims.append(prove_attraction(potential, equilibrium))
+    stability = None
+    if equilibrium.proved and claims[-2].holds:
+        stability = "asymptotic" if claims[-1].holds else None
+        conserved = None if stability else prove_only_stable(design)
+        if conserved is not None:
+            claims[-1] = conserved
+            stability = "stable"
+    told("decrease", 1.0)
+    return _collect(design, tuple(claims), equilibrium, stability)
+
+
+def _equilibrium_claim(found: Equilibrium) -> Claim:
+    data = {"gradient_norm": found.gradient_norm}
+    if found.mu is None or found.radius is None or found.bound is None:
+        text = "no ball around z* is proved to hold exactly one critical point of V"
+        return Claim("equilibrium", False, text, data)
+    text = (
+        f"V has exactly one critical point z̄ within {found.radius:.3g} of z*, ∇²V ⪰ "
+        f"{found.mu:.3g} I there, and ‖z̄ − z*‖ ≤ {found.bound:.3g}"
+    )
+    return Claim("equilibrium", True, text, data)
+
+
+def _collect(
+    design: Design, claims: tuple[Claim, ...], found: Equilibrium, stability: str | None
+) -> Certificate:
+    return Certificate(
+        design_hash=design.hash,
+        claims=claims,
+        z_bar=tuple(float(v) for v in found.z_bar),
+        enclosure=found.enclosure,
+        mu=found.mu,
+        radius=found.radius,
+        bound_rigorous=found.bound,
+        stability=stability,
+    )

@@ -1,0 +1,18 @@
+"""One statement of a certificate."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+__all__ = ["Claim"]
+
+
+@dataclass(frozen=True)
+class Claim:
+    """A statement in plain words, and whether it is proved."""
+
+    name: str
+    holds: bool
+    statement: str
+    data: Mapping[str, float] = field(default_factory=dict)

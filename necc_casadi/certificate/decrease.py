@@ -1,0 +1,163 @@
+"""V decreases along the damped loop, by algebra, and z̄ attracts, by a Lyapunov inequality.
+
+V̇ = −∇Vᵀ Rcl ∇V / Φ₁ − ∇Vᵀ 𝒢𝒟𝒢ᵀ ∇V ≤ 0 everywhere, given ∇Cᵀ(Jcl − Rcl) = 0, Φ₁ > 0, Rcl ⪰ 0 and
+D, Dc ≻ 0. Each of the four is proved here again from the design's own expressions and numbers.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import sympy as sp
+
+from necc_casadi import exact as ex
+from necc_casadi.artifact import Design
+from necc_casadi.certificate.claim import Claim
+from necc_casadi.certificate.definite import exactly_positive_definite, positive_definite
+from necc_casadi.certificate.enclosures import Potential, matrix_enclosure
+from necc_casadi.certificate.equilibrium import Equilibrium
+from necc_casadi.certificate.intervals import Interval, matmul, point
+from necc_casadi.networks import Vector
+from necc_casadi.plant import gradient
+
+__all__ = ["linearisation", "prove_attraction", "prove_decrease", "prove_only_stable"]
+
+
+def prove_decrease(design: Design) -> tuple[Claim, ...]:
+    """The four conditions of V̇ ≤ 0, then V̇ ≤ 0 itself."""
+    conditions = (_casimir(design), _structure(design), _slope(design), _damping(design))
+    missing = [claim.name for claim in conditions if not claim.holds]
+    statement = (
+        "V never increases along the continuous-time, unsaturated loop, wherever the model is "
+        "defined and for every D, Dc ≻ 0"
+        if not missing
+        else f"V is not proved to decrease, for want of: {', '.join(missing)}"
+    )
+    return *conditions, Claim("decrease", not missing, statement)
+
+
+def _casimir(design: Design) -> Claim:
+    """The Casimir condition (eq. CasimirCondition) for every closed form that the design uses."""
+    loop = design.loop
+    left = [
+        c
+        for c in design.casimirs.functions
+        if not all(ex.is_zero(entry) for entry in loop.M.T * gradient(c, loop.z))
+    ]
+    listed = ", ".join(map(str, design.casimirs.functions))
+    if left:
+        return Claim("casimir", False, f"∇Cᵀ(Jcl − Rcl) = 0 is not proved for {left[0]}")
+    return Claim("casimir", True, f"∇Cᵀ(Jcl − Rcl) = 0 holds exactly for C built from {listed}")
+
+
+def _structure(design: Design) -> Claim:
+    plant, controller = design.loop.plant, design.loop.controller
+    proved = {
+        "J = −Jᵀ": _is_skew(plant.J),
+        "R = Rᵀ ⪰ 0": _is_dissipative(plant.R),
+        "Jc = −Jcᵀ": _is_skew(controller.Jc),
+        "Rc = Rcᵀ ⪰ 0": _is_dissipative(controller.Rc),
+    }
+    missing = [name for name, holds in proved.items() if not holds]
+    if missing:
+        return Claim("structure", False, f"held at sampled points only: {', '.join(missing)}")
+    return Claim("structure", True, f"{', '.join(proved)} hold exactly for all states")
+
+
+def _is_skew(J: sp.Matrix) -> bool:
+    return all(ex.is_zero(entry) for entry in J + J.T)
+
+
+def _is_dissipative(R: sp.Matrix) -> bool:
+    symmetric = all(ex.is_zero(entry) for entry in R - R.T)
+    return symmetric and ex.is_positive_semidefinite(sp.Matrix(R)) is True
+
+
+def _slope(design: Design) -> Claim:
+    phi = design.form.phi
+    if phi is None:
+        return Claim("slope", True, "Φ = H + Hc + C, so Φ₁ = 1", {"slope": 1.0})
+    holds = phi.delta > 0 and bool(np.isfinite(design.weights).all())
+    text = f"Φ₁ ≥ {phi.delta:g} everywhere, by construction of the neural Φ"
+    return Claim("slope", holds, text, {"slope": float(phi.delta)})
+
+
+def _damping(design: Design) -> Claim:
+    wrong = [name for name in ("D", "Dc") if not exactly_positive_definite(getattr(design, name))]
+    if wrong:
+        return Claim("damping", False, f"{' and '.join(wrong)} not positive definite")
+    return Claim("damping", True, "D ≻ 0 and Dc ≻ 0, in exact arithmetic on the stored numbers")
+
+
+def linearisation(potential: Potential, Z: Interval) -> Interval:
+    """A = (M/Φ₁ − 𝒢𝒟𝒢ᵀ)∇²V over a box (N,) that holds z̄, where ∇V = 0; N × N."""
+    design, loop = potential.design, potential.design.loop
+    M = matrix_enclosure(loop.M, loop.z, Z)
+    ports = matrix_enclosure(loop.ports, loop.z, Z)
+    m = loop.plant.m
+    damping = np.zeros((2 * m, 2 * m))
+    damping[:m, :m], damping[m:, m:] = design.D, design.Dc
+    transposed = Interval(ports.lo.T, ports.hi.T)
+    injected = matmul(ports, matmul(damping, transposed))
+    slope = potential.slope(Z[None, :])[0]
+    return matmul(M / slope - injected, potential.jet(Z[None, :]).hess[0])
+
+
+def prove_attraction(potential: Potential, equilibrium: Equilibrium) -> Claim:
+    """z̄ is locally asymptotically stable: AᵀP + PA ≺ 0 for some P ≻ 0 and every A enclosed."""
+    if not equilibrium.proved:
+        return Claim("attraction", False, "no equilibrium is proved, so none is proved to attract")
+    with np.errstate(all="ignore"):
+        A = linearisation(potential, equilibrium.box)
+        abscissa = _abscissa(A.mid)
+        P = _lyapunov(A.mid)
+        holds = P is not None and _is_hurwitz(A, P)
+    data = {"spectral_abscissa": abscissa}
+    if not holds:
+        text = f"the linearisation at z̄ is not proved to be Hurwitz (abscissa {abscissa:.3g})"
+        return Claim("attraction", False, text, data)
+    text = (
+        f"z̄ is locally asymptotically stable: the linearisation is Hurwitz (abscissa "
+        f"{abscissa:.3g}), proved by a Lyapunov inequality"
+    )
+    return Claim("attraction", True, text, data)
+
+
+def _abscissa(A: Vector) -> float:
+    return float(np.linalg.eigvals(A).real.max()) if np.isfinite(A).all() else float("nan")
+
+
+def _lyapunov(A: Vector) -> Vector | None:
+    """P with AᵀP + PA = −I, in floating point, as a candidate; None where there is none."""
+    size = len(A)
+    if not np.isfinite(A).all():
+        return None
+    identity = np.eye(size)
+    operator = np.kron(A.T, identity) + np.kron(identity, A.T)
+    try:
+        P = np.linalg.solve(operator, -identity.ravel()).reshape(size, size)
+    except np.linalg.LinAlgError:
+        return None
+    return (P + P.T) / 2
+
+
+def _is_hurwitz(A: Interval, P: Vector) -> bool:
+    PA = matmul(P, A)
+    rate = PA + Interval(PA.lo.T, PA.hi.T)
+    return bool(positive_definite(point(P)[None])[0] and positive_definite(-rate[None])[0])
+
+
+def prove_only_stable(design: Design) -> Claim | None:
+    """A Casimir that damping cannot move: 𝒢ᵀ∇C ≡ 0, C not constant; None where there is none.
+
+    Such a C is conserved by the damped loop, so no neighbourhood of z̄ is attracted to z̄.
+    """
+    loop = design.loop
+    for c in design.casimirs.functions:
+        slope = gradient(c, loop.z)
+        moved = sp.Matrix(loop.ports).T * slope
+        constant = all(ex.is_zero(entry) is not False for entry in slope)
+        conserved = [*moved, *(loop.M.T * slope)]
+        if not constant and all(ex.is_zero(entry) for entry in conserved):
+            text = f"z̄ is stable, but cannot attract: the damped loop conserves {c}"
+            return Claim("stability", True, text)
+    return None

@@ -1,0 +1,185 @@
+"""Figures: V around the target, closed-loop responses, distance and bounds against a."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from necc_casadi.artifact import Design, write_text
+from necc_casadi.networks import Vector
+from necc_casadi.simulation import Trajectory, domain_box
+
+__all__ = ["SweepPoint", "lyapunov_figure", "responses_figure", "sweep_figure", "write_figure"]
+
+_INK, _TARGET, _MINIMUM = "#1f4e79", "#d9730d", "#2e7d32"
+_GRID = 81
+
+
+@dataclass(frozen=True)
+class SweepPoint:
+    """What one value of a gave (the paper's third figure)."""
+
+    a: float
+    loss: float  # ε
+    distance: float  # ‖z̄ − z*‖
+    bound_paper: float | None  # ε/(a − ε), None where a ≤ ε
+    bound_rigorous: float | None  # g/μ, None where nothing was proved
+
+
+def write_figure(figure: Figure, path: Path) -> Path:
+    """Write a PNG whole or not at all."""
+    buffer = io.BytesIO()
+    FigureCanvasAgg(figure)
+    figure.savefig(buffer, format="png", dpi=120)
+    return write_text(path, buffer.getvalue())
+
+
+def _label(design: Design, index: int) -> str:
+    name = design.loop.states[index]
+    unit = design.loop.plant.units.get(name)
+    return f"{name} [{unit}]" if unit else name
+
+
+def _telling_pair(design: Design) -> tuple[int, int]:
+    """The two plant states that a plot of V should show.
+
+    First the state along which the plant's own energy is least convex: what the design changed.
+    Then the one with the largest curvature of V among the rest.
+    """
+    n = design.loop.plant.n
+    hessian = np.asarray(design.lyapunov.hessian(design.z_bar), float)[:n, :n]
+    if n == 1:
+        return 0, n
+    import casadi as ca
+
+    x = ca.MX.sym("x", n)
+    own = ca.Function("own", [x], [ca.hessian(design.lyapunov.terms.H(x), x)[0]])
+    change = np.diag(hessian) - np.diag(np.asarray(own(design.z_bar[:n]), float))
+    first = int(np.argmax(np.abs(change)))
+    order = [i for i in np.argsort(-np.diag(hessian)) if i != first]
+    return first, int(order[0])
+
+
+def lyapunov_figure(design: Design) -> Figure:
+    """V over two coordinates through ξ*, as a surface and as contours, with both minima marked."""
+    i, j = _telling_pair(design)
+    lo, hi = domain_box(design)
+    a, b = np.linspace(lo[i], hi[i], _GRID), np.linspace(lo[j], hi[j], _GRID)
+    A, B = np.meshgrid(a, b)
+    points = np.repeat(design.z_star[:, None], A.size, axis=1)
+    points[i], points[j] = A.ravel(), B.ravel()
+    values = np.asarray(design.lyapunov.V.map(A.size)(points), float).reshape(A.shape)
+    values = values - design.V(design.z_bar)
+    star, bar = design.z_star, design.z_bar
+
+    figure = Figure(figsize=(10, 4.4), layout="constrained")
+    figure.suptitle(f"{design.loop.plant.name}: Lyapunov function at ξ = ξ*")
+    surface = figure.add_subplot(1, 2, 1, projection="3d")
+    surface.plot_surface(A, B, values, cmap="viridis", linewidth=0, alpha=0.9, rcount=60, ccount=60)
+    surface.contour(A, B, values, levels=12, zdir="z", offset=float(values.min()), cmap="viridis")
+    surface.set_xlabel(_label(design, i))
+    surface.set_ylabel(_label(design, j))
+    surface.set_zlabel("V − V(z̄)")
+    surface.view_init(elev=28, azim=-60)
+
+    flat = figure.add_subplot(1, 2, 2)
+    lines = flat.contour(A, B, values, levels=_levels(values), cmap="viridis")
+    flat.clabel(lines, fontsize=7, fmt="%.2g")
+    flat.plot(star[i], star[j], "o", ms=11, mfc="none", mew=2, color=_TARGET, label="target z*")
+    flat.plot(bar[i], bar[j], "+", ms=11, mew=2, color=_MINIMUM, label="minimum z̄ of V")
+    flat.set_xlabel(_label(design, i))
+    flat.set_ylabel(_label(design, j))
+    flat.legend(loc="upper right", framealpha=0.9)
+    flat.set_title("contours of V − V(z̄)", fontsize=10)
+    return figure
+
+
+def _levels(values: Vector) -> Vector:
+    """Contour levels that are dense near the minimum."""
+    top = float(np.quantile(values, 0.98))
+    floor = min(0.0, float(values.min()))
+    return floor + (top - floor) * np.linspace(0.03, 1.0, 13) ** 2
+
+
+def responses_figure(design: Design, trajectories: Sequence[Trajectory]) -> Figure:
+    """Every state and input over time, targets dashed, and V along the responses."""
+    names = [_label(design, k) for k in range(len(design.loop.states))]
+    inputs = design.loop.plant.m
+    panels = len(names) + inputs + 1
+    columns = min(3, panels)
+    rows = -(-panels // columns)
+    figure = Figure(figsize=(3.6 * columns, 2.1 * rows + 0.5), layout="constrained")
+    figure.suptitle(f"{design.loop.plant.name}: closed-loop responses")
+    axes = figure.subplots(rows, columns, squeeze=False, sharex=True).ravel()
+    steady, _ = design.control(
+        design.z_bar[: design.loop.plant.n], design.z_bar[design.loop.plant.n :]
+    )
+    for k, axis in enumerate(axes[:panels]):
+        for response in trajectories:
+            axis.plot(
+                response.t, _panel(response, k, len(names), inputs), lw=0.9, color=_INK, alpha=0.7
+            )
+        if k < len(names):
+            axis.axhline(design.z_star[k], ls="--", lw=1, color=_TARGET)
+            axis.set_ylabel(names[k])
+        elif k < len(names) + inputs:
+            axis.axhline(steady[k - len(names)], ls="--", lw=1, color=_TARGET)
+            axis.set_ylabel(_input_label(design, k - len(names)))
+        else:
+            _decay_axis(axis)
+        axis.grid(alpha=0.25)
+    for axis in axes[panels:]:
+        axis.remove()
+    for k in range(max(0, panels - columns), panels):
+        axes[k].tick_params(labelbottom=True)
+        axes[k].set_xlabel("time [s]")
+    return figure
+
+
+def _panel(response: Trajectory, k: int, states: int, inputs: int) -> Vector:
+    if k < states:
+        return response.z[:, k]
+    if k < states + inputs:
+        return response.u[:, k - states]
+    return np.maximum(response.V - response.V_bar, 1e-14)
+
+
+def _input_label(design: Design, index: int) -> str:
+    name = "u" if design.loop.plant.m == 1 else f"u{index + 1}"
+    unit = design.loop.plant.units.get(name)
+    return f"{name} [{unit}]" if unit else name
+
+
+def _decay_axis(axis: Axes) -> None:
+    axis.set_yscale("log")
+    axis.set_ylabel("V − V(z̄)")
+
+
+def sweep_figure(design: Design, points: Sequence[SweepPoint]) -> Figure:
+    """‖z̄ − z*‖ and its two bounds against a (the paper's third figure)."""
+    figure = Figure(figsize=(6.4, 4.2), layout="constrained")
+    axis = figure.add_subplot()
+    a = [p.a for p in points]
+    series = (
+        ("paper's bound ε/(a − ε)", [p.bound_paper for p in points], "s--", _TARGET),
+        ("proved bound g/μ", [p.bound_rigorous for p in points], "^-", _MINIMUM),
+        ("distance ‖z̄ − z*‖", [p.distance for p in points], "o-", _INK),
+    )
+    floor = 1e-17
+    for label, values, style, color in series:
+        shown = [np.nan if v is None else max(v, floor) for v in values]
+        axis.plot(a, shown, style, color=color, label=label, ms=5, lw=1.2)
+    axis.set_yscale("log")
+    axis.set_xlabel("a, curvature asked of ∇²V(z*)")
+    axis.set_ylabel("distance")
+    axis.set_title(f"{design.loop.plant.name}: equilibrium assignment against a", fontsize=11)
+    axis.grid(alpha=0.25, which="both")
+    axis.legend()
+    return figure

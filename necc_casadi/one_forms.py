@@ -1,0 +1,103 @@
+"""Casimirs by integration: kernel vectors that are, up to a factor, gradients.
+
+The separable form of the paper is the special case v = F with Fᵢ a function of zᵢ alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+import sympy as sp
+from sympy.integrals.manualintegrate import manualintegrate
+
+from necc_casadi import exact as ex
+from necc_casadi.loop import ClosedLoop
+
+__all__ = ["integrated_kernel", "primitive"]
+
+_MOST_STATES = 20
+_MOST_OPERATIONS = 400
+
+
+def primitive(f: sp.Expr, s: sp.Symbol) -> sp.Expr | None:
+    """A closed-form antiderivative of `f` in `s`, or None."""
+    if s not in f.free_symbols:
+        return f * s
+    if f.count_ops() > _MOST_OPERATIONS:
+        return None
+    try:
+        result = manualintegrate(f, s)
+    except (RecursionError, NotImplementedError, ValueError, TypeError, AttributeError):
+        return None  # sympy's rules do not cover this integrand
+    if result.has(sp.Integral, sp.Piecewise, sp.I, sp.zoo, sp.nan) or result.atoms(
+        sp.Function
+    ) & set(result.atoms(sp.erf, sp.Si, sp.Ci)):
+        return None
+    return result.replace(sp.Abs, lambda a: a)
+
+
+def integrated_kernel(loop: ClosedLoop) -> list[sp.Expr]:
+    """Functions whose gradient is parallel to a vector of the kernel's reduced basis."""
+    if loop.n > _MOST_STATES or sum(e.count_ops() for e in loop.M) > _MOST_OPERATIONS // 2:
+        return []
+    basis = ex.kernel(sp.Matrix(loop.M).T)
+    found = []
+    for k in range(basis.cols):
+        v = list(basis[:, k])
+        if sum(e.count_ops() for e in v) > _MOST_OPERATIONS:
+            continue
+        for w in _scalings(v, loop.z):
+            c = potential(w, loop.z)
+            if c is not None:
+                found.append(c)
+                break
+    return found
+
+
+def _scalings(v: Sequence[sp.Expr], z: Sequence[sp.Symbol]) -> Iterable[list[sp.Expr]]:
+    """V times simple integrating factors."""
+    yield list(v)
+    for entry in v:
+        if entry.free_symbols:
+            yield [sp.cancel(e / entry) if e != 0 else e for e in v]
+            yield [sp.cancel(e * entry) if e != 0 else e for e in v]
+    for i, s in enumerate(z):
+        factor = _single_variable_factor(v, z, i)
+        if factor is not None and factor.free_symbols <= {s}:
+            yield [sp.simplify(factor * e) for e in v]
+
+
+def _single_variable_factor(v: Sequence[sp.Expr], z: Sequence[sp.Symbol], i: int) -> sp.Expr | None:
+    """μ(zᵢ) with μv closed: (∂ⱼvᵢ − ∂ᵢvⱼ)/vⱼ is one function of zᵢ for all j."""
+    rate: sp.Expr | None = None
+    for j, other in enumerate(v):
+        if j == i or other == 0:
+            continue
+        value = sp.simplify((sp.diff(v[i], z[j]) - sp.diff(other, z[i])) / other)
+        if not value.free_symbols <= {z[i]} or (
+            rate is not None and ex.is_zero(value - rate) is not True
+        ):
+            return None
+        rate = value
+    if rate is None or rate == 0:
+        return None
+    exponent = primitive(rate, z[i])
+    return None if exponent is None else sp.simplify(sp.exp(exponent))
+
+
+def potential(w: Sequence[sp.Expr], z: Sequence[sp.Symbol]) -> sp.Expr | None:
+    """C with ∇C = w where w is closed and integrates in closed form, else None."""
+    for i in range(len(z)):
+        for j in range(i):
+            if ex.is_zero(sp.diff(w[i], z[j]) - sp.diff(w[j], z[i])) is not True:
+                return None
+    c = sp.Integer(0)
+    for s, slope in zip(z, w, strict=True):
+        rest = slope - sp.diff(c, s)
+        if rest == 0:
+            continue
+        part = primitive(sp.simplify(rest), s)
+        if part is None:
+            return None
+        c += part
+    return sp.expand(c) if c.count_ops() < _MOST_OPERATIONS else c

@@ -1,0 +1,281 @@
+"""One run of ``necc-design``, stage by stage: verdict, design, certificate, responses, files."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import os
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import sympy as sp
+
+from necc_casadi.artifact import Design, write_text
+from necc_casadi.assignability import Verdict, judge
+from necc_casadi.casimirs import Casimirs, find_casimirs
+from necc_casadi.certificate import Certificate, certify
+from necc_casadi.errors import OptionError, OutputError
+from necc_casadi.figures import (
+    SweepPoint,
+    lyapunov_figure,
+    responses_figure,
+    sweep_figure,
+    write_figure,
+)
+from necc_casadi.model_file import Model, damping_matrix, load_model
+from necc_casadi.report import Findings, design_block
+from necc_casadi.simulation import random_states, simulate
+from necc_casadi.synthesis import Options, design, paper_options
+from necc_casadi.target import free_coordinates, parse_target, target_from_model
+
+__all__ = ["Request", "run_design"]
+
+_RESPONSES = 10
+#: A design whose ε is above this gets a note with IPOPT's status and what to try.
+_NOTED_LOSS = 1e-9
+
+Say = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class Request:
+    """What one run is asked for, as the command line says it."""
+
+    model: Path
+    out: Path
+    target: str | None = None
+    param: Sequence[str] = ()  # NAME=VALUE
+    check: bool = False
+    paper: bool = False
+    chosen: dict[str, Any] = field(default_factory=dict)  # fields of Options that were given
+    damping: tuple[float, ...] | None = None
+    controller_damping: tuple[float, ...] | None = None
+    plots: bool = True
+    sweep_a: tuple[float, float, int] | None = None
+    real: str = "double"
+    sample_time: float | None = None
+
+
+def run_design(request: Request, say: Say) -> Findings:
+    """Judge the target and, where it is assignable, design, certify, simulate and write.
+
+    Raises
+    ------
+    InputError
+        For a model, a target, an option or a folder that cannot be used; before any training.
+    """
+    began = time.perf_counter()
+    say("reading the model")
+    if not request.check:
+        check_writable(request.out)
+    model = load_model(request.model, _parameters(request.param))
+    options = _options(request, model)
+    x_star = _target(model, request.target)
+    say("finding Casimirs")
+    casimirs = find_casimirs(model.loop, model.casimirs, x_star)
+    say("judging the target")
+    verdict = judge(model.loop, casimirs, x_star)
+    found = Findings(model.loop, x_star, casimirs, verdict, notes=_notes(model, casimirs))
+    found.timings["symbolic"] = time.perf_counter() - began
+    if verdict.assignable and not request.check:
+        _Making(request, model, casimirs, verdict, options, found, say).everything()
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class _Making:
+    """The stages after a favourable verdict; each adds to `found` and writes its files."""
+
+    request: Request
+    model: Model
+    casimirs: Casimirs
+    verdict: Verdict
+    options: Options
+    found: Findings
+    say: Say
+
+    def everything(self) -> None:
+        """All stages, in order."""
+        made = self.design()
+        certificate = self.certify(made)
+        self.simulate(made)
+        self.export(made, certificate)
+        if self.request.sweep_a is not None:
+            self.sweep(self.request.sweep_a)
+        if self.request.plots:
+            self.draw(made)
+
+    @contextlib.contextmanager
+    def stage(self, name: str, text: str) -> Iterator[None]:
+        """Name a stage in the progress display and time it."""
+        self.say(text)
+        began = time.perf_counter()
+        yield
+        self.found.timings[name] = time.perf_counter() - began
+
+    def train(self, options: Options) -> Design:
+        """One design at the target with these options."""
+        count = 0
+
+        def report(start: Any) -> None:
+            nonlocal count
+            count += 1
+            self.say(f"training: start {count} of {options.starts}, loss {start.loss:.1e}")
+
+        return design(
+            self.model.loop, self.casimirs, self.verdict, self.found.x_star, options, report
+        )
+
+    def design(self) -> Design:
+        """Train and damp."""
+        found = self.found
+        with self.stage("design", "training"):
+            made = found.design = self.train(self.options)
+        found.timings["solve"] = sum(s.seconds for s in made.starts)
+        if made.a < made.a_requested:
+            found.notes.append(
+                f"a = {made.a_requested:.4g} was asked for, but no network can exceed "
+                f"a_max = {self.verdict.a_max:.4g}: a = {made.a:.4g} is used"
+            )
+        best = min(made.starts, key=lambda s: s.loss)
+        if best.loss > _NOTED_LOSS:
+            found.notes.append(f"IPOPT: {best.explained.meaning}. {best.explained.remedy}")
+        return made
+
+    def certify(self, made: Design) -> Certificate:
+        """Prove what can be proved; write design and certificate."""
+        with self.stage("certify", "proving"):
+            certificate = certify(made, report=lambda stage, _: self.say(f"proving: {stage}"))
+        self.found.certificate = certificate
+        out = self.request.out
+        self.wrote(made.save(out / "design.json"))
+        self.wrote(write_text(out / "certificate.json", certificate.to_json()))
+        return certificate
+
+    def simulate(self, made: Design) -> None:
+        """Responses from random states of the domain."""
+        with self.stage("simulate", "simulating"):
+            states = random_states(made, _RESPONSES, made.seed)
+            self.found.responses = [simulate(made, x0) for x0 in states]
+
+    def export(self, made: Design, certificate: Certificate) -> None:
+        """The C controller."""
+        from necc_casadi.export import export_c
+
+        with self.stage("export", "writing the C controller"):
+            paths = export_c(
+                made,
+                self.request.out / "c",
+                real=self.request.real,
+                sample_time=self.request.sample_time,
+                certificate_hash=hashlib.sha256(certificate.to_json().encode()).hexdigest(),
+                claims=[claim.statement for claim in certificate.claims if claim.holds],
+            )
+        for path in paths:
+            self.wrote(path)
+
+    def sweep(self, values: tuple[float, float, int]) -> None:
+        """One design for each value of a, in the same form."""
+        points = []
+        with self.stage("sweep", "sweeping a"):
+            for index, a in enumerate(np.linspace(*values)):
+                self.say(f"sweeping a: {index + 1} of {values[2]}")
+                made = self.train(replace(self.options, a=float(a), keep_a=True))
+                block = design_block(made, certify(made, region=False))
+                points.append(
+                    SweepPoint(
+                        a=float(a),
+                        loss=block["loss"],
+                        distance=block["distance"],
+                        bound_paper=block["bound_paper"],
+                        bound_rigorous=block["bound_rigorous"],
+                    )
+                )
+        self.found.sweep = points
+
+    def draw(self, made: Design) -> None:
+        """The figures."""
+        found = self.found
+        with self.stage("figures", "drawing"):
+            figures = {
+                "lyapunov": lyapunov_figure(made),
+                "responses": responses_figure(made, found.responses),
+            }
+            if found.sweep:
+                figures["sweep"] = sweep_figure(made, found.sweep)
+            for name, figure in figures.items():
+                self.wrote(write_figure(figure, self.request.out / "figures" / f"{name}.png"))
+
+    def wrote(self, path: Path) -> None:
+        """Remember a file, relative to OUT."""
+        self.found.files.append(path.relative_to(self.request.out).as_posix())
+
+
+def _parameters(texts: Sequence[str]) -> dict[str, str]:
+    result = {}
+    for text in texts:
+        name, separator, value = text.partition("=")
+        if not separator or not name.strip() or not value.strip():
+            raise OptionError("param", f"--param {text} is not NAME=VALUE", "Write --param k=4.")
+        result[name.strip()] = value
+    return result
+
+
+def _target(model: Model, text: str | None) -> dict[sp.Symbol, sp.Expr]:
+    if text is not None:
+        return parse_target(model.loop.plant, text)
+    if model.target is not None:
+        return target_from_model(model.loop.plant, model.target)
+    free, dimension = free_coordinates(model.loop.plant)
+    names = ", ".join(map(str, free[:dimension])) or "none"
+    raise OptionError(
+        "usage",
+        "no target: neither --target nor `target` in the model file",
+        f"Say where to hold the plant with --target; free on the equilibrium set: {names}.",
+    )
+
+
+def _options(request: Request, model: Model) -> Options:
+    m = model.loop.plant.m
+    options = paper_options(m) if request.paper else Options(D=model.D, Dc=model.Dc)
+    dampings: dict[str, Any] = {}
+    if request.damping is not None:
+        dampings["D"] = damping_matrix(np.array(request.damping), m, "--damping")
+    if request.controller_damping is not None:
+        dampings["Dc"] = damping_matrix(
+            np.array(request.controller_damping), m, "--controller-damping"
+        )
+    return replace(options, **request.chosen, **dampings)
+
+
+def _notes(model: Model, casimirs: Casimirs) -> list[str]:
+    notes = [
+        f"{p.name} held at sampled points only: what rests on it is not proved"
+        for p in model.loop.properties
+        if not p.proved
+    ]
+    return notes + ([casimirs.note] if casimirs.note else [])
+
+
+def check_writable(folder: Path) -> None:
+    """Refuse early, before any work, where `folder` cannot be made or written.
+
+    Raises
+    ------
+    OutputError
+        Naming the folder.
+    """
+    existing = folder
+    while not existing.exists() and existing != existing.parent:
+        existing = existing.parent
+    if not existing.is_dir() or not os.access(existing, os.W_OK | os.X_OK):
+        raise OutputError(
+            "output",
+            f"{folder} cannot be written: {existing} is "
+            + ("read-only" if existing.is_dir() else "not a folder"),
+            "Choose a folder that can be written with --out.",
+        )

@@ -1,0 +1,231 @@
+"""From a judged target to a finished Design: networks, training, damping."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import sympy as sp
+
+from necc_casadi.artifact import Design
+from necc_casadi.assignability import Verdict
+from necc_casadi.casimirs import Casimirs
+from necc_casadi.loop import ClosedLoop
+from necc_casadi.lyapunov import Form, LyapunovFunction, make_terms
+from necc_casadi.networks import MonotonePhi, Network, Vector
+from necc_casadi.outcome import Start
+from necc_casadi.training import Scales, train
+
+__all__ = ["Options", "design", "natural_scales", "paper_options"]
+
+#: Curvature asked for by default, as a share of the reference stiffness.
+_DEFAULT_A = 0.5
+#: Share of the ceiling a_max that is asked for when the request lies beyond it.
+_BELOW_CEILING = 0.9
+
+
+@dataclass(frozen=True)
+class Options:
+    """What a user may choose about a design; None means that the design chooses."""
+
+    hidden_k: tuple[int, ...] = (64,)
+    hidden_h: tuple[int, ...] = (32,)
+    activation: str = "tanh"
+    quadratic: bool = True  # adds a positive quadratic part to K and Hc
+    casimir_form: str = "joint"  # "sum": K(Σ βᵢ(cᵢ)), "joint": K(c₁, …, c_r)
+    phi: str = "sum"  # "sum": Φ = H + Hc + C, "neural": MonotonePhi
+    a: float | None = None
+    keep_a: bool = False  # ask for `a` even where no network can reach it
+    D: Vector | None = None  # m × m
+    Dc: Vector | None = None  # m × m
+    natural_units: bool = True  # scale the networks to the plant's domain and energy
+    seed: int = 0
+    starts: int = 1
+    verbose: bool = False
+
+
+def paper_options(m: int) -> Options:
+    """The published form (Section IV): plain tanh MLPs, Φ = H + Hc + C, a = 0.5, D = 5, Dc = 6."""
+    return Options(
+        quadratic=False,
+        casimir_form="sum",
+        a=0.5,
+        natural_units=False,
+        D=5.0 * np.eye(m),
+        Dc=6.0 * np.eye(m),
+    )
+
+
+def design(
+    loop: ClosedLoop,
+    casimirs: Casimirs,
+    verdict: Verdict,
+    x_star: Mapping[sp.Symbol, sp.Expr],
+    options: Options | None = None,
+    report: Callable[[Start], None] | None = None,
+) -> Design:
+    """Train V at x* and choose the damping.
+
+    The design that is returned was written to text and read back, so that whatever is proved,
+    simulated or exported is what is stored.
+
+    Parameters
+    ----------
+    loop, casimirs, verdict
+        Closed loop, its closed-form Casimirs and the verdict at x*.
+    x_star
+        Target, exact, plant symbols to values.
+    options
+        Form of the networks and what to ask of them.
+    report
+        Called with the outcome of each start of the solver.
+    """
+    options = options or Options()
+    terms = make_terms(loop, casimirs)
+    form = _form(options, terms.nc, terms.r)
+    x = np.array([float(sp.N(x_star[s], 20)) for s in loop.plant.x])
+    guess = np.zeros(terms.nc)
+    if verdict.xi_star is not None:
+        guess = np.array([float(sp.N(v, 20)) for v in verdict.xi_star])
+    natural = natural_scales(loop, casimirs, x, guess)
+    scales = natural if options.natural_units else Scales(np.ones(len(loop.z)), 1.0)
+    requested = options.a if options.a is not None else _default_a(natural, verdict)
+    a = requested
+    if verdict.a_max is not None and requested >= verdict.a_max and not options.keep_a:
+        a = _BELOW_CEILING * verdict.a_max
+    solution = train(
+        terms,
+        form,
+        x,
+        a=a,
+        scales=scales,
+        seed=options.seed,
+        starts=options.starts,
+        xi_guess=guess,
+        report=report,
+        verbose=options.verbose,
+    )
+    z_star = np.concatenate([x, solution.xi_star])
+    undamped = LyapunovFunction(terms, form, solution.weights, np.eye(terms.m), np.eye(terms.m))
+    D, Dc = _damping(undamped, loop, z_star, options)
+    made = Design(
+        loop=loop,
+        casimirs=casimirs,
+        x_star=tuple(x_star[s] for s in loop.plant.x),
+        verdict=verdict,
+        form=form,
+        weights=solution.weights,
+        xi_star=solution.xi_star,
+        D=D,
+        Dc=Dc,
+        a=a,
+        a_requested=requested,
+        seed=options.seed,
+        starts=solution.starts,
+    )
+    return Design.from_text(made.text)
+
+
+def _form(options: Options, nc: int, r: int) -> Form:
+    def network(inputs: int, hidden: tuple[int, ...], quadratic: bool) -> Network:
+        return Network(inputs, hidden, options.activation, quadratic)
+
+    joint = options.casimir_form == "joint" or r == 1
+    betas = () if joint else tuple(network(1, options.hidden_k, False) for _ in range(r))
+    return Form(
+        hc=network(nc, options.hidden_h, options.quadratic),
+        k=network(r if joint else 1, options.hidden_k, options.quadratic),
+        betas=betas,
+        phi=MonotonePhi() if options.phi == "neural" else None,
+    )
+
+
+def natural_scales(loop: ClosedLoop, casimirs: Casimirs, x_star: Vector, xi: Vector) -> Scales:
+    """Sizes of the states from the domain (half-width 2 is one unit), of H from its curvature.
+
+    A controller state without a domain of its own takes the size that the Casimirs give it.
+    """
+    domain = loop.plant.domain
+    size = np.full(len(loop.z), np.nan)
+    for index, name in enumerate(loop.states):
+        if name in domain:
+            lo, hi = (float(bound) for bound in domain[name])
+            size[index] = (hi - lo) / 4
+    n = loop.plant.n
+    size[:n] = np.where(np.isnan(size[:n]), 1.0, size[:n])
+    point = dict(zip(loop.z, np.concatenate([x_star, xi]), strict=True))
+    for function in casimirs.functions:
+        slope = np.array([abs(float(sp.diff(function, s).subs(point))) for s in loop.z])
+        reach = float(np.max(slope[:n] * size[:n], initial=0.0))
+        for index in range(n, len(size)):
+            if np.isnan(size[index]) and slope[index] > 0 and reach > 0:
+                size[index] = reach / slope[index]
+    size[np.isnan(size)] = 1.0
+    curvature = [abs(float(sp.diff(loop.plant.H, s, 2).subs(point))) for s in loop.plant.x]
+    energies = size[:n] ** 2 * np.array(curvature)
+    energy = float(energies[energies > 0].mean()) if np.any(energies > 0) else 1.0
+    return Scales(size, energy)
+
+
+def _default_a(scales: Scales, verdict: Verdict) -> float:
+    """Half of the reference stiffness, and no more than half of the ceiling."""
+    a = _DEFAULT_A * float(scales.stiffness.min())
+    if verdict.a_max is not None:
+        a = min(a, 0.5 * verdict.a_max)
+    return float(f"{a:.3g}")
+
+
+# --- damping -------------------------------------------------------------------------------------
+
+#: Of the dampings within this share of the best decay rate, the smallest is taken.
+_NEAR_BEST = 0.9
+
+
+def _damping(
+    V: LyapunovFunction, loop: ClosedLoop, z_star: Vector, options: Options
+) -> tuple[Vector, Vector]:
+    """D and Dc as given; what is not given maximises the decay rate of the linearised loop.
+
+    Too much damping slows the loop down as much as too little, so the rate is searched over
+    multiples of a natural damping, and of those near the best the smallest is taken: it costs
+    the least input and amplifies the least noise. The yes or no of stability does not depend
+    on the choice.
+    """
+    m = V.terms.m
+    given_D, given_Dc = options.D, options.Dc
+    if given_D is not None and given_Dc is not None:
+        return given_D, given_Dc
+    hessian = np.asarray(V.hessian(z_star), float)
+    M = np.asarray(V.terms.M(z_star), float) / float(V.phi_slope(z_star))
+    ports = np.array(loop.ports.subs(dict(zip(loop.z, z_star, strict=True))).evalf(), float)
+    natural = _natural_damping(M, hessian, ports)
+    steps = np.logspace(-2, 2, 33 if len(z_star) <= 12 else 9)
+    candidates = []
+    for d in steps if given_D is None else [1.0]:
+        for dc in steps if given_Dc is None else [1.0]:
+            D = np.diag(d * natural[:m]) if given_D is None else given_D
+            Dc = np.diag(dc * natural[m:]) if given_Dc is None else given_Dc
+            damping = np.block([[D, np.zeros((m, m))], [np.zeros((m, m)), Dc]])
+            A = (M - ports @ damping @ ports.T) @ hessian
+            candidates.append((-np.linalg.eigvals(A).real.max(), d, dc, D, Dc))
+    best = max(c[0] for c in candidates)
+    threshold = _NEAR_BEST * best if best > 0 else best
+    _, _, _, D, Dc = min(
+        (c for c in candidates if c[0] >= threshold), key=lambda c: c[1] ** 2 * c[2]
+    )
+    return _rounded(D), _rounded(Dc)
+
+
+def _rounded(D: Vector) -> Vector:
+    """Three digits: a damping gain that an engineer can read."""
+    return np.array([[float(f"{v:.3g}") for v in row] for row in D])
+
+
+def _natural_damping(M: Vector, hessian: Vector, ports: Vector) -> Vector:
+    """Damping of each port at which its rate equals the loop's natural frequency, (2m,)."""
+    frequencies = np.abs(np.linalg.eigvals(M @ hessian))
+    significant = frequencies[frequencies > 1e-6 * max(frequencies.max(), 1e-300)]
+    omega = float(np.median(significant)) if significant.size else 1.0
+    rates = np.einsum("ij,ik,kj->j", ports, hessian, ports)
+    return omega / np.where(rates > 0, rates, 1.0)

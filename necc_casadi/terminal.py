@@ -1,0 +1,119 @@
+"""The shell of every command: grouped help, errors in two lines, exit codes, progress on stderr."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import sys
+import traceback
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
+
+import click
+
+from necc_casadi.errors import InputError
+
+__all__ = ["GroupedCommand", "Progress", "grouped", "run"]
+
+INTERNAL_FAULT, BAD_INPUT, INTERRUPTED = 1, 2, 130
+
+
+class GroupedOption(click.Option):
+    """An option that stands under a heading in --help."""
+
+    def __init__(self, *args: Any, group: str = "Options", **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
+        self.group = group
+
+
+def grouped(group: str) -> Callable[..., Callable[..., Any]]:
+    """``click.option`` for options under one heading of --help."""
+
+    def option(*names: str, **kwargs: Any) -> Callable[..., Any]:
+        return click.option(*names, cls=GroupedOption, group=group, **kwargs)
+
+    return option
+
+
+class GroupedCommand(click.Command):
+    """A command whose --help shows its options under headings."""
+
+    def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write one section per heading, in the order of the options."""
+        sections: dict[str, list[tuple[str, str]]] = {}
+        for parameter in self.get_params(ctx):
+            record = parameter.get_help_record(ctx)
+            if record is not None:
+                heading = getattr(parameter, "group", "Other")
+                sections.setdefault(heading, []).append(record)
+        for heading, records in sections.items():
+            with formatter.section(heading):
+                formatter.write_dl(records)
+
+
+def run(command: click.Command, arguments: Sequence[str] | None = None) -> int:
+    """Run a command and return its exit code; every fault becomes one clear message."""
+    given = list(sys.argv[1:] if arguments is None else arguments)
+    as_json, debug = "--json" in given, "--debug" in given
+    try:
+        code = command.main(given, standalone_mode=False)
+        sys.stdout.flush()
+        return int(code or 0)
+    except InputError as problem:
+        return _refuse(problem.code, problem.fault, problem.remedy, as_json, debug)
+    except click.UsageError as problem:
+        name = problem.ctx.command_path if problem.ctx else str(command.name)
+        hint = f"See {name} --help."
+        return _refuse("usage", problem.format_message(), hint, as_json, debug)
+    except (KeyboardInterrupt, click.Abort):
+        click.echo("interrupted; finished files are kept, nothing is half-written", err=True)
+        return INTERRUPTED
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    except Exception as problem:
+        if debug:
+            traceback.print_exc()
+        fault = f"internal fault: {type(problem).__name__}: {str(problem).splitlines()[:1]}"
+        click.echo(fault, err=True)
+        click.echo("This is our mistake; --debug shows where it happened.", err=True)
+        return INTERNAL_FAULT
+
+
+def _refuse(code: str, fault: str, remedy: str, as_json: bool, debug: bool) -> int:
+    if debug:
+        traceback.print_exc()
+    if as_json:
+        message = f"{fault} {remedy}"
+        click.echo(json.dumps({"status": "error", "error": {"code": code, "message": message}}))
+    click.echo(f"error [{code}]: {fault}", err=True)
+    click.echo(f"  {remedy}", err=True)
+    return BAD_INPUT
+
+
+class Progress:
+    """A spinner on stderr that names the step at hand; silent when stderr is no terminal."""
+
+    def __init__(self) -> None:
+        self._status: Any = None
+
+    @contextlib.contextmanager
+    def shown(self) -> Iterator[Progress]:
+        """Show the spinner while the block runs."""
+        if not sys.stderr.isatty():
+            yield self
+            return
+        from rich.console import Console
+
+        with Console(stderr=True).status("starting", spinner="dots") as status:
+            self._status = status
+            try:
+                yield self
+            finally:
+                self._status = None
+
+    def say(self, text: str) -> None:
+        """Name the step at hand."""
+        if self._status is not None:
+            self._status.update(text)
