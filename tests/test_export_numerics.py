@@ -178,7 +178,7 @@ SANITIZERS = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
 @pytest.mark.parametrize("sanitize", [[], SANITIZERS], ids=["plain", "sanitized"])
 def test_the_self_test_passes_and_fails_when_a_weight_is_wrong(tmp_path, compiler, real, sanitize):
     d = design(pendulum_loop(((-2.0, 1.0),)), Form(Network(1, (5,)), Network(1, (6,))))
-    export_c(d, tmp_path, real=real, sample_time=0.01)
+    export_c(d, tmp_path, real=real, sample_time=0.01, measured=False)
     sources = [str(tmp_path / name) for name in ("necc.c", "selftest.c")]
 
     def build_and_run():
@@ -197,7 +197,7 @@ def test_the_self_test_passes_and_fails_when_a_weight_is_wrong(tmp_path, compile
 
 
 def test_cmake_builds_it_and_runs_its_test(tmp_path):
-    export_c(paper_design((5,), (7,)), tmp_path / "c")
+    export_c(paper_design((5,), (7,)), tmp_path / "c", measured=False)
     build = str(tmp_path / "build")
     for command in (
         ["cmake", "-S", str(tmp_path / "c"), "-B", build],

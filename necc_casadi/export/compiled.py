@@ -17,7 +17,9 @@ import numpy as np
 
 from necc_casadi.artifact import Design
 from necc_casadi.errors import OutputError
-from necc_casadi.export.source import export_c
+from necc_casadi.export.controller import controller
+from necc_casadi.export.header import header
+from necc_casadi.export.source import Source
 from necc_casadi.networks import Vector
 
 __all__ = ["CompiledController", "compile_controller", "find_compiler", "load_controller"]
@@ -66,7 +68,7 @@ class CompiledController:
 def compile_controller(
     design: Design, *, flags: Sequence[str] = ("-O2",), **options: Any
 ) -> CompiledController:
-    """Export `design`, compile it and load it; `options` are those of :func:`export_c`.
+    """Export `design`, compile it and load it; `options` are fields of Source.
 
     Raises
     ------
@@ -74,7 +76,9 @@ def compile_controller(
         When no C compiler is found, or it fails.
     """
     with tempfile.TemporaryDirectory(prefix="necc-") as folder:
-        export_c(design, Path(folder), **options)
+        source = Source(design, **options)
+        for name, text in (("necc.h", header(source)), ("necc.c", controller(source))):
+            (Path(folder) / name).write_text(text, encoding="utf-8")
         return load_controller(Path(folder), flags=flags)
 
 

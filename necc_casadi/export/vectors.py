@@ -9,10 +9,11 @@ import numpy as np
 
 from necc_casadi.artifact import Design
 from necc_casadi.export.leaves import Real
+from necc_casadi.export.source import Source
 from necc_casadi.export.templating import fill
 from necc_casadi.networks import Vector
 
-__all__ = ["TOLERANCE", "reference_step", "test_vectors"]
+__all__ = ["TOLERANCE", "reference_step", "vector_table"]
 
 #: Error that a vector allows, relative to max(1, |expected|).
 TOLERANCE = {"double": 1e-12, "float": 1e-3}
@@ -36,20 +37,19 @@ def reference_step(design: Design, integrator: str) -> ca.Function:
     return ca.Function("necc_step", [x, xi, dt], [u, after])
 
 
-def test_vectors(design: Design, real: Real, integrator: str, sample_time: float) -> str:
+def vector_table(source: Source) -> str:
     """``test_vectors.h``: points around the target, up to one away in every state."""
+    design, real, n = source.design, source.number, source.n
     rng = np.random.default_rng(0)
-    step = reference_step(design, integrator)
-    n = design.lyapunov.terms.n
+    step = reference_step(design, source.integrator)
     rows = []
     for index in range(_COUNT):
         z = real.rounded(design.z_star + rng.uniform(-1, 1, design.z_star.size) * (index > 0))
-        dt = float(real.rounded(np.array(sample_time * (1 + index % 3) / 3)))
-        u, xi_dot = design.control(list(z[:n]), list(z[n:]))
+        dt = float(real.rounded(np.array(source.step_time * (1 + index % 3) / 3)))
+        u, xi_dot = design.control(z[:n], z[n:])
         after = np.asarray(step(z[:n], z[n:], dt)[1], float).ravel()
         limited, flags = _saturated(design, u)
-        groups = [z[:n], z[n:]], [u, xi_dot, limited, after]
-        rows.append(_row(*groups, dt, flags, real))
+        rows.append(_row([z[:n], z[n:]], [u, xi_dot, limited, after], dt, flags, real))
     return fill(
         "test_vectors.h",
         count=_COUNT,

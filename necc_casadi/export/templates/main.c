@@ -48,7 +48,7 @@ int main(int argc, char **argv)
     for (i = 0; i < NECC_NX && i + 2 < argc; ++i)
         x[i] = (necc_real)strtod(argv[i + 2], NULL);
     necc_init_at(&state, x);
-    printf("t@columns@,flags\n");
+    printf("@columns@\n");
     for (step = 0; step < steps; ++step) {
         const necc_state before = state;
         flags = necc_step(&state, x, u, SAMPLE_TIME);

@@ -1,0 +1,44 @@
+"""``main.c``: the controller in closed loop with its plant."""
+
+from __future__ import annotations
+
+import casadi as ca
+
+from necc_casadi.export.leaves import leaf
+from necc_casadi.export.source import Source
+from necc_casadi.export.templating import fill
+from necc_casadi.expressions import identifiers
+
+__all__ = ["demonstration"]
+
+_STEPS = 2000
+
+
+def demonstration(source: Source) -> str:
+    """The text of ``main.c``."""
+    terms, real = source.design.lyapunov.terms, source.number
+    x, u = ca.SX.sym("x", source.n), ca.SX.sym("u", source.m)
+    x_dot = terms.F(x) @ terms.grad_H(x) + terms.G(x) @ u
+    columns = [*source.design.loop.states, *(f"u{i + 1}" for i in range(source.m)), "flags"]
+    return fill(
+        "main.c",
+        sample_time=f"{source.step_time:.6g}",
+        sample_literal=real.literal(source.step_time),
+        plant=leaf("plant", [("x", x), ("u", u)], [("xdot", x_dot)], real),
+        rk4_fractions=real.literals((0, 0.5, 0.5, 1)),
+        rk4_weights=real.literals((1 / 6, 1 / 3, 1 / 3, 1 / 6)),
+        digits=9 if real.suffix else 17,
+        x_start=real.literals(_start(source)),
+        steps=_STEPS,
+        columns=",".join(["t", *identifiers(columns)]),
+    )
+
+
+def _start(source: Source) -> list[float]:
+    """A quarter of the way from the target to the lower end of the domain."""
+    plant = source.design.loop.plant
+    start = []
+    for name, target in zip(plant.states, source.design.z_star, strict=False):
+        low = float(plant.domain[name][0]) if name in plant.domain else target - 2
+        start.append(float(target + (low - target) / 4))
+    return start
