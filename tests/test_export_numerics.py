@@ -73,7 +73,7 @@ def sweep(tmp_path, name, real, compiler, flags):
     typed = name if name == "squareplus" else f"{name}_{real}"
     source = SWEEP.format(
         real=real,
-        lanes=LANES,
+        lanes=LANES[real],
         literal=f"literal##{number.suffix}" if number.suffix else "literal",
         function=fill(f"{typed}.c", sqrt=f"sqrt{number.suffix}"),
         name=name,
@@ -190,7 +190,7 @@ def test_the_self_test_passes_and_fails_when_a_weight_is_wrong(tmp_path, compile
     assert done.returncode == 0, done.stdout + done.stderr
     assert "0 failures" in done.stdout
     code = (tmp_path / "necc.c").read_text()
-    weight = f"hc_2[{LANES + 1}] = {{\n    "
+    weight = f"hc_2[{LANES[real] + 1}] = {{\n    "
     assert weight in code
     (tmp_path / "necc.c").write_text(code.replace(weight, weight + "9 +"))
     assert build_and_run().returncode == 1

@@ -23,8 +23,8 @@ def controller(source: Source) -> str:
     saturation = _saturation(source)
     return fill(
         "necc.c",
-        lanes=LANES,
-        width=width(networks),
+        lanes=LANES[source.real],
+        width=width(networks, LANES[source.real]),
         literal="literal##f" if real.suffix else "literal",
         weights="\n".join(network.tables(real) for network in networks),
         kernels=kernels(networks, real),
@@ -46,7 +46,7 @@ def _networks(source: Source) -> list[CNetwork]:
     names = ["hc", "k", *(f"beta{i + 1}" for i in range(len(form.betas)))]
     names += ["phi"] if source.neural_phi else []
     triples = zip(names, form.networks, form.split(source.design.weights), strict=True)
-    return [c_network(*triple) for triple in triples if triple[1].inputs > 0]
+    return [c_network(*t, LANES[source.real]) for t in triples if t[1].inputs > 0]
 
 
 def _leaves(source: Source) -> list[str]:
