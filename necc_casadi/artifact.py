@@ -26,6 +26,7 @@ from necc_casadi.assignability import Verdict
 from necc_casadi.casimirs import Casimirs
 from necc_casadi.errors import OutputError
 from necc_casadi.expressions import identifiers, parse, to_text
+from necc_casadi.learned import Residual
 from necc_casadi.loop import ClosedLoop, Controller
 from necc_casadi.lyapunov import Form, LyapunovFunction, make_terms
 from necc_casadi.networks import MonotonePhi, Network, Vector
@@ -55,6 +56,7 @@ class Design:
     a_requested: float
     seed: int
     starts: tuple[Start, ...] = ()
+    learned: Residual | None = None  # of a learned Casimir; None: Casimirs in closed form
     versions: Mapping[str, str] = field(default_factory=lambda: package_versions())
 
     @cached_property
@@ -269,6 +271,7 @@ def _to_dict(design: Design) -> dict[str, Any]:
         "Dc": _hex(design.Dc),
         "seed": design.seed,
         "starts": [asdict(start) for start in design.starts],
+        "learned": None if design.learned is None else asdict(design.learned),
         "weights": _hex(design.weights),
     }
 
@@ -347,6 +350,7 @@ def _from_dict(data: Mapping[str, Any]) -> Design:
         a_requested=float.fromhex(data["a_requested"]),
         seed=data["seed"],
         starts=tuple(Start(**start) for start in data["starts"]),
+        learned=None if data["learned"] is None else Residual(**data["learned"]),
         versions=data["versions"],
     )
 

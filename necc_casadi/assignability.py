@@ -1,4 +1,4 @@
-"""Verdict at a target, before any training: can ∇V = 0 and ∇²V ≻ 0 be assigned there?
+"""Verdict at a target, before any training: whether ∇V = 0 and ∇²V ≻ 0 can be assigned there.
 
 With N = ∇ₓc(x*, ξ*) for the Casimirs c and W a basis of ker Nᵀ, the target is assignable iff for
 some (ξ*, λ)
@@ -273,6 +273,8 @@ def _constant(entry: sp.Expr) -> sp.Expr:
 def _multipliers(N: sp.Matrix, gradient: sp.Matrix) -> tuple[list[sp.Expr] | None, list[sp.Matrix]]:
     """One λ with ∇H + Nλ = 0 (zero where it is free) and a basis of {λ : Nλ = 0}."""
     r = N.cols
+    if gradient.is_zero_matrix and ex.has_rank(N, r):
+        return [sp.Integer(0)] * r, []
     rows = [i for i in range(N.rows) if any(N[i, j] != 0 for j in range(r))]
     augmented = N.extract(rows, list(range(r))).row_join(-gradient.extract(rows, [0]))
     reduced, pivots = ex.reduced_rows(augmented)
@@ -338,6 +340,8 @@ def _judge_over_xi(
         if not fixed.finite:
             continue
         local = _local(fixed, loop)
+        if best is not None and local.reason == "ok" and _merit(local) == _merit(best[0]):
+            break
         if best is None or _merit(local) > _merit(best[0]):
             best = (local, xi_star)
     if best is None:
@@ -355,7 +359,7 @@ def _judge_over_xi(
 def _merit(local: Local) -> tuple[int, float]:
     order = {"ok": 3, "undecided": 2, "invisible_flat_curvature": 1}
     ceiling = local.best.ceiling if local.best is not None else -1e300
-    return order.get(local.reason, 0), 1e300 if ceiling is None else ceiling
+    return order.get(local.reason, 0), 1e300 if ceiling is None else round(ceiling, 9)
 
 
 def _candidates(data: TargetData) -> list[tuple[sp.Expr, ...]]:

@@ -101,6 +101,18 @@ _output = grouped("Output")
     help="C = K(Σ βᵢ(cᵢ)) or K(c₁, …, c_r).  [default: joint; sum with --paper]",
 )
 @_form(
+    "--global",
+    "convex",
+    is_flag=True,
+    help="Quadratic parts stiff enough to make V convex everywhere, where the plant allows it.",
+)
+@_form(
+    "--learn-casimir",
+    is_flag=True,
+    help="Where closed forms are missing: a network C(z) that is a Casimir approximately. "
+    "Nothing is certified from it.",
+)
+@_form(
     "--phi",
     type=click.Choice(["sum", "neural"]),
     help="Φ = H + Hc + C, or a network with Φ₁ > 0 by construction.  [default: sum]",
@@ -184,7 +196,16 @@ def _design(model: Path, **options: Any) -> int:
         from necc_casadi.pipeline import Request, run_design
         from necc_casadi.report import summary, to_json
 
-        form = ("hidden_k", "hidden_h", "activation", "casimir_form", "phi", "a")
+        form = (
+            "hidden_k",
+            "hidden_h",
+            "activation",
+            "casimir_form",
+            "phi",
+            "a",
+            "convex",
+            "learn_casimir",
+        )
         chosen = {key: options[key] for key in form if options[key] is not None}
         chosen |= {key: options[key] for key in ("seed", "starts")} | {"verbose": options["debug"]}
         passed = (

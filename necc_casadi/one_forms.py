@@ -9,8 +9,10 @@ from collections.abc import Iterable, Sequence
 
 import sympy as sp
 from sympy.integrals.manualintegrate import manualintegrate
+from sympy.integrals.rationaltools import ratint
 
 from necc_casadi import exact as ex
+from necc_casadi.expressions import non_smooth_part
 from necc_casadi.loop import ClosedLoop
 
 __all__ = ["integrated_kernel", "primitive"]
@@ -26,14 +28,26 @@ def primitive(f: sp.Expr, s: sp.Symbol) -> sp.Expr | None:
     if f.count_ops() > _MOST_OPERATIONS:
         return None
     try:
-        result = manualintegrate(f, s)
-    except (RecursionError, NotImplementedError, ValueError, TypeError, AttributeError):
+        result = _rational_primitive(f, s)
+        if result is None:
+            result = manualintegrate(f, s)
+    except (RecursionError, NotImplementedError, ValueError, TypeError):
         return None  # sympy's rules do not cover this integrand
-    if result.has(sp.Integral, sp.Piecewise, sp.I, sp.zoo, sp.nan) or result.atoms(
-        sp.Function
-    ) & set(result.atoms(sp.erf, sp.Si, sp.Ci)):
+    result = result.replace(sp.Abs, lambda a: a)
+    unusable = result.has(sp.Integral, sp.I, sp.zoo, sp.nan) or non_smooth_part(result) is not None
+    return None if unusable else result
+
+
+def _rational_primitive(f: sp.Expr, s: sp.Symbol) -> sp.Expr | None:
+    if not f.is_rational_function(s):
         return None
-    return result.replace(sp.Abs, lambda a: a)
+    powers = sp.factor(f)
+    coefficient, rest = powers.as_independent(s, as_Add=False)
+    base, exponent = rest.as_base_exp()
+    slope = sp.diff(base, s)
+    if not slope.has(s) and slope != 0 and exponent != -1:
+        return coefficient * base ** (exponent + 1) / (slope * (exponent + 1))
+    return ratint(f, s)
 
 
 def integrated_kernel(loop: ClosedLoop) -> list[sp.Expr]:

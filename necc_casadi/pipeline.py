@@ -22,6 +22,8 @@ from necc_casadi.errors import OptionError, OutputError
 from necc_casadi.figures import (
     SweepPoint,
     lyapunov_figure,
+    region_boundary,
+    region_figure,
     responses_figure,
     sweep_figure,
     write_figure,
@@ -81,7 +83,8 @@ def run_design(request: Request, say: Say) -> Findings:
     verdict = judge(model.loop, casimirs, x_star)
     found = Findings(model.loop, x_star, casimirs, verdict, notes=_notes(model, casimirs))
     found.timings["symbolic"] = time.perf_counter() - began
-    if verdict.assignable and not request.check:
+    learning = options.learn_casimir and verdict.assignable is not False
+    if (verdict.assignable or learning) and not request.check:
         _Making(request, model, casimirs, verdict, options, found, say).everything()
     return found
 
@@ -205,6 +208,10 @@ class _Making:
                 "lyapunov": lyapunov_figure(made),
                 "responses": responses_figure(made, found.responses),
             }
+            level = found.certificate.level if found.certificate else None
+            if level is not None:
+                starts = region_boundary(made, level)
+                figures["region"] = region_figure(made, level, [simulate(made, s) for s in starts])
             if found.sweep:
                 figures["sweep"] = sweep_figure(made, found.sweep)
             for name, figure in figures.items():

@@ -3,24 +3,29 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+import casadi as ca
 import numpy as np
 import sympy as sp
 
 from necc_casadi.artifact import Design
 from necc_casadi.assignability import Verdict
 from necc_casadi.casimirs import Casimirs
+from necc_casadi.learned import casimir_penalty, casimir_residual, state_inputs
+from necc_casadi.lifting import Scales
 from necc_casadi.loop import ClosedLoop
-from necc_casadi.lyapunov import Form, LyapunovFunction, make_terms
-from necc_casadi.networks import MonotonePhi, Network, Vector
+from necc_casadi.lyapunov import Form, LyapunovFunction, Terms, make_terms
+from necc_casadi.networks import KAPPA_MIN, MonotonePhi, Network, Vector
 from necc_casadi.outcome import Start
-from necc_casadi.training import Scales, train
+from necc_casadi.training import train
 
 __all__ = ["Options", "design", "natural_scales", "paper_options"]
 
 #: Curvature asked for by default, as a share of the reference stiffness.
 _DEFAULT_A = 0.5
+#: Hidden layer of a learned Casimir: small enough for exact second derivatives.
+_LEARNED_HIDDEN = (32,)
 #: Share of the ceiling a_max that is asked for when the request lies beyond it.
 _BELOW_CEILING = 0.9
 
@@ -39,6 +44,8 @@ class Options:
     keep_a: bool = False  # ask for `a` even where no network can reach it
     D: Vector | None = None  # m × m
     Dc: Vector | None = None  # m × m
+    convex: bool = False  # quadratic parts stiff enough to make V convex everywhere
+    learn_casimir: bool = False  # a network C(z), a Casimir only approximately
     natural_units: bool = True  # scale the networks to the plant's domain and energy
     seed: int = 0
     starts: int = 1
@@ -82,6 +89,12 @@ def design(
         Called with the outcome of each start of the solver.
     """
     options = options or Options()
+    if options.learn_casimir:
+        casimirs = state_inputs(loop, casimirs)
+        options = replace(options, casimir_form="joint", hidden_k=_LEARNED_HIDDEN)
+    elif not casimirs.functions:  # constants are Casimirs of every loop: C = K(0) keeps one form
+        casimirs = replace(casimirs, functions=(sp.Integer(0),))
+        options = replace(options, hidden_k=(1,))
     terms = make_terms(loop, casimirs)
     form = _form(options, terms.nc, terms.r)
     x = np.array([float(sp.N(x_star[s], 20)) for s in loop.plant.x])
@@ -90,6 +103,10 @@ def design(
         guess = np.array([float(sp.N(v, 20)) for v in verdict.xi_star])
     natural = natural_scales(loop, casimirs, x, guess)
     scales = natural if options.natural_units else Scales(np.ones(len(loop.z)), 1.0)
+    z_guess = np.concatenate([x, guess])
+    penalty = None
+    if options.learn_casimir:
+        penalty = casimir_penalty(terms, form, natural, z_guess, options.seed)
     requested = options.a if options.a is not None else _default_a(natural, verdict)
     a = requested
     if verdict.a_max is not None and requested >= verdict.a_max and not options.keep_a:
@@ -103,6 +120,8 @@ def design(
         seed=options.seed,
         starts=options.starts,
         xi_guess=guess,
+        kappa_min=_least_kappa(terms, scales, verdict, x, guess) if options.convex else KAPPA_MIN,
+        penalty=penalty,
         report=report,
         verbose=options.verbose,
     )
@@ -123,6 +142,9 @@ def design(
         a_requested=requested,
         seed=options.seed,
         starts=solution.starts,
+        learned=casimir_residual(terms, form, solution.weights, natural, z_star, options.seed)
+        if options.learn_casimir
+        else None,
     )
     return Design.from_text(made.text)
 
@@ -135,7 +157,11 @@ def _form(options: Options, nc: int, r: int) -> Form:
     betas = () if joint else tuple(network(1, options.hidden_k, False) for _ in range(r))
     return Form(
         hc=network(nc, options.hidden_h, options.quadratic),
-        k=network(r if joint else 1, options.hidden_k, options.quadratic),
+        k=network(
+            r if joint else 1,
+            options.hidden_k,
+            options.quadratic and not options.learn_casimir,
+        ),
         betas=betas,
         phi=MonotonePhi() if options.phi == "neural" else None,
     )
@@ -174,6 +200,66 @@ def _default_a(scales: Scales, verdict: Verdict) -> float:
     if verdict.a_max is not None:
         a = min(a, 0.5 * verdict.a_max)
     return float(f"{a:.3g}")
+
+
+# --- convexity -----------------------------------------------------------------------------------
+
+_CONVEX_SAMPLES = 400
+#: Least eigenvalue, relative to the reference stiffness, that quadratic parts alone must reach
+#: at every sample: what is left for the networks to take away.
+_CONVEX_MARGIN = 0.15
+_STIFFEST = 1e4
+
+
+def _least_kappa(
+    terms: Terms, scales: Scales, verdict: Verdict, x_star: Vector, xi_star: Vector
+) -> float:
+    """The least κ, in natural units, for which quadratic parts alone make V convex at samples.
+
+    The samples fill twice the natural domain, whole turns of an angle included. A certificate,
+    not this search, says whether V is convex everywhere. Where no stiffness helps (H curves
+    downwards somewhere along an invisible direction) the default bound is returned.
+    """
+    lowest = _lowest_curvature(terms, scales, verdict, np.concatenate([x_star, xi_star]))
+    upper = 1.0
+    while lowest(upper) < _CONVEX_MARGIN:
+        upper *= 2
+        if upper > _STIFFEST:
+            return KAPPA_MIN
+    lower = 0.0 if upper == 1.0 else upper / 2
+    for _ in range(20):
+        middle = (lower + upper) / 2
+        lower, upper = (lower, middle) if lowest(middle) >= _CONVEX_MARGIN else (middle, upper)
+    return upper
+
+
+def _lowest_curvature(
+    terms: Terms, scales: Scales, verdict: Verdict, z_star: Vector
+) -> Callable[[float], float]:
+    """κ ↦ least eigenvalue of ∇²V over the samples, V = H + λᵀc + ½κ(‖ξ‖² + ‖c − c*‖²) scaled."""
+    n = terms.n
+    z, kappa = ca.MX.sym("z", len(z_star)), ca.MX.sym("kappa")
+    c, c_star = terms.c(z), np.asarray(terms.c(z_star), float)
+    slope = ca.Function("dc", [z], [ca.jacobian(c, z)])
+    reach = (np.abs(np.asarray(slope(z_star), float)) * scales.state).max(axis=1, initial=0.0)
+    reach[reach == 0] = 1.0
+    lam = np.zeros(terms.r)
+    if verdict.lam is not None and len(verdict.lam) == terms.r:
+        lam = np.array([float(sp.N(v)) for v in verdict.lam])
+    stretch = ca.sumsqr(z[n:] / scales.state[n:]) + ca.sumsqr((c - c_star) / reach)
+    V = terms.H(z[:n]) + ca.dot(lam, c) + kappa * scales.energy / 2 * stretch
+    hessian = ca.Function("hessian", [z, kappa], [ca.hessian(V, z)[0]])
+    offsets = np.random.default_rng(0).uniform(-4, 4, (_CONVEX_SAMPLES, len(z_star)))
+    samples = z_star + offsets * scales.state
+
+    def lowest(value: float) -> float:
+        all_hessians = np.asarray(hessian.map(len(samples))(samples.T, value), float)
+        blocks = all_hessians.reshape(len(z_star), len(samples), len(z_star)).swapaxes(0, 1)
+        relative = blocks * np.outer(scales.state, scales.state) / scales.energy
+        finite = relative[np.isfinite(relative).all(axis=(1, 2))]
+        return float(np.linalg.eigvalsh(finite).min())
+
+    return lowest
 
 
 # --- damping -------------------------------------------------------------------------------------

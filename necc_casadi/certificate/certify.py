@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from typing import Any
 
 from necc_casadi.artifact import Design
@@ -14,6 +14,8 @@ from necc_casadi.certificate.decrease import prove_attraction, prove_decrease, p
 from necc_casadi.certificate.enclosures import Potential
 from necc_casadi.certificate.equilibrium import Equilibrium, prove_equilibrium
 from necc_casadi.certificate.intervals import self_test
+from necc_casadi.certificate.region import GridRegion, Proof, prove_region
+from necc_casadi.certificate.structure import critical_points_are_invariant
 from necc_casadi.errors import OutputError
 
 __all__ = ["FORMAT", "Certificate", "certify"]
@@ -41,14 +43,16 @@ class Certificate:
     stability: str | None  # "asymptotic", "stable" or None
     level: float | None = None  # c of the region {V ≤ c}
     limited_by: str | None = None
-    domain_share: float | None = None
+    domain_share: float | None = None  # of the domain, momenta at rest: a lower bound
     is_global: bool = False
+    region: GridRegion | None = None
 
     @property
     def certified(self) -> bool:
         """Whether every claim that exit code 0 rests on holds."""
-        needed = {"equilibrium", "decrease"}
+        made = {claim.name for claim in self.claims}
         held = {claim.name for claim in self.claims if claim.holds}
+        needed = {"equilibrium", "decrease"} | (made & {"region"})
         return needed <= held and self.stability is not None
 
     def to_json(self) -> str:
@@ -72,11 +76,20 @@ class Certificate:
                 raise OutputError("output", f"{label} has another format", remedy)
             data["claims"] = tuple(Claim(**claim) for claim in data["claims"])
             data["z_bar"] = tuple(float(v) for v in data["z_bar"])
+            if data["region"] is not None:
+                data["region"] = _region(data["region"])
             return cls(**{f.name: data[f.name] for f in fields(cls)})
         except (KeyError, TypeError, ValueError, AttributeError) as problem:
             raise OutputError(
                 "output", f"{label} is not a certificate: {problem!r}", remedy
             ) from None
+
+
+def _region(data: dict[str, Any]) -> GridRegion:
+    def tuples(value: Any) -> Any:
+        return tuple(tuples(v) for v in value) if isinstance(value, list) else value
+
+    return GridRegion(**{key: tuples(value) for key, value in data.items()})
 
 
 def _finite(value: Any) -> Any:
@@ -106,8 +119,40 @@ def certify(design: Design, *, region: bool = True, report: Report | None = None
         if conserved is not None:
             claims[-1] = conserved
             stability = "stable"
-    told("decrease", 1.0)
-    return _collect(design, tuple(claims), equilibrium, stability)
+    certificate = _collect(design, tuple(claims), equilibrium, stability)
+    if not region:
+        return certificate
+    told("region", 0.0)
+    if stability is None:
+        missing = Claim("region", False, "no region without a proof of stability")
+        return replace(certificate, claims=(*certificate.claims, missing))
+    proof = prove_region(potential, equilibrium)
+    told("region", 1.0)
+    return replace(
+        certificate,
+        claims=(*certificate.claims, _region_claim(design, proof, stability)),
+        level=None if proof.region is None else proof.region.level,
+        limited_by=proof.limited_by,
+        domain_share=proof.shares.get("domain_share"),
+        region=proof.region,
+    )
+
+
+def _region_claim(design: Design, proof: Proof, stability: str) -> Claim:
+    if proof.region is None:
+        return Claim("region", False, f"no region is proved: {proof.limited_by}")
+    share = 100 * proof.shares["domain_share"]
+    where = (
+        f"the component Ω of {{V ≤ {proof.region.level:.6g}}} around z̄ lies in the domain "
+        f"(at least {share:.0f} % of it, momenta at rest; limited by {proof.limited_by})"
+    )
+    if stability != "asymptotic":
+        return Claim("region", True, f"{where} and is invariant; z̄ is stable", proof.shares)
+    resting = [i for i in range(design.loop.n) if i not in proof.region.active]
+    if critical_points_are_invariant(design, resting):
+        return Claim("region", True, f"{where}; every solution from Ω converges to z̄", proof.shares)
+    text = f"{where}; Ω is invariant, and z̄ locally asymptotically stable"
+    return Claim("region", True, text, proof.shares)
 
 
 def _equilibrium_claim(found: Equilibrium) -> Claim:

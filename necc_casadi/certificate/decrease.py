@@ -19,6 +19,9 @@ from necc_casadi.certificate.intervals import Interval, matmul, point
 from necc_casadi.networks import Vector
 from necc_casadi.plant import gradient
 
+#: Shares of the spectral abscissa that are tried as a proved rate of decay, in this order.
+_RATES = (0.99, 0.9, 0.5, 0.0)
+
 __all__ = ["linearisation", "prove_attraction", "prove_decrease", "prove_only_stable"]
 
 
@@ -91,8 +94,8 @@ def _damping(design: Design) -> Claim:
 def linearisation(potential: Potential, Z: Interval) -> Interval:
     """A = (M/Φ₁ − 𝒢𝒟𝒢ᵀ)∇²V over a box (N,) that holds z̄, where ∇V = 0; N × N."""
     design, loop = potential.design, potential.design.loop
-    M = matrix_enclosure(loop.M, loop.z, Z)
-    ports = matrix_enclosure(loop.ports, loop.z, Z)
+    M = matrix_enclosure(loop.M, loop.z, Z[None, :])[0]
+    ports = matrix_enclosure(loop.ports, loop.z, Z[None, :])[0]
     m = loop.plant.m
     damping = np.zeros((2 * m, 2 * m))
     damping[:m, :m], damping[m:, m:] = design.D, design.Dc
@@ -109,17 +112,18 @@ def prove_attraction(potential: Potential, equilibrium: Equilibrium) -> Claim:
     with np.errstate(all="ignore"):
         A = linearisation(potential, equilibrium.box)
         abscissa = _abscissa(A.mid)
-        P = _lyapunov(A.mid)
-        holds = P is not None and _is_hurwitz(A, P)
-    data = {"spectral_abscissa": abscissa}
-    if not holds:
-        text = f"the linearisation at z̄ is not proved to be Hurwitz (abscissa {abscissa:.3g})"
-        return Claim("attraction", False, text, data)
-    text = (
-        f"z̄ is locally asymptotically stable: the linearisation is Hurwitz (abscissa "
-        f"{abscissa:.3g}), proved by a Lyapunov inequality"
-    )
-    return Claim("attraction", True, text, data)
+        for share in _RATES:
+            rate = max(0.0, -share * abscissa)
+            shifted = A + rate * np.eye(A.shape[-1])
+            P = _lyapunov(shifted.mid)
+            if P is not None and _is_hurwitz(shifted, P):
+                text = (
+                    f"z̄ is locally asymptotically stable: every eigenvalue of the linearisation "
+                    f"has a real part below {-rate:.3g}, by a Lyapunov inequality"
+                )
+                return Claim("attraction", True, text, {"rate": rate})
+    text = f"the linearisation at z̄ is not proved to be Hurwitz (abscissa about {abscissa:.3g})"
+    return Claim("attraction", False, text)
 
 
 def _abscissa(A: Vector) -> float:
@@ -147,10 +151,23 @@ def _is_hurwitz(A: Interval, P: Vector) -> bool:
 
 
 def prove_only_stable(design: Design) -> Claim | None:
-    """A Casimir that damping cannot move: 𝒢ᵀ∇C ≡ 0, C not constant; None where there is none.
+    """Why z̄, stable because V is least there and never increases, cannot attract; None: unknown.
 
-    Such a C is conserved by the damped loop, so no neighbourhood of z̄ is attracted to z̄.
+    Either a Casimir that damping cannot move, 𝒢ᵀ∇C ≡ 0 with C not constant, is conserved by the
+    damped loop; or the exact verdict at the target names motions that no V can damp.
     """
+    conserved = _conserved(design)
+    if conserved is not None:
+        text = f"z̄ is stable, but cannot attract: the damped loop conserves {conserved}"
+        return Claim("stability", True, text)
+    verdict = design.verdict
+    if verdict.stability == "stable" and verdict.witness:
+        text = f"z̄ is stable; no design can make this target attract: {verdict.witness}"
+        return Claim("stability", True, text)
+    return None
+
+
+def _conserved(design: Design) -> sp.Expr | None:
     loop = design.loop
     for c in design.casimirs.functions:
         slope = gradient(c, loop.z)
@@ -158,6 +175,5 @@ def prove_only_stable(design: Design) -> Claim | None:
         constant = all(ex.is_zero(entry) is not False for entry in slope)
         conserved = [*moved, *(loop.M.T * slope)]
         if not constant and all(ex.is_zero(entry) for entry in conserved):
-            text = f"z̄ is stable, but cannot attract: the damped loop conserves {c}"
-            return Claim("stability", True, text)
+            return c
     return None

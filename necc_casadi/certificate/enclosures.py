@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import reduce
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property, reduce
 
 import numpy as np
 import sympy as sp
@@ -31,6 +32,9 @@ def _squareplus_slopes(v: Interval) -> tuple[Interval, Interval, Interval]:
     return (v + root) * 0.5, (1.0 + v * inverse) * 0.5, 2.0 * inverse.power(3)
 
 
+#: Boxes per network evaluation: arrays stay within a processor's cache.
+_ROWS = 512
+
 _ACTIVATIONS: dict[str, Slopes] = {
     "tanh": tanh_slopes,
     "sin": sin_slopes,
@@ -40,19 +44,30 @@ _ACTIVATIONS: dict[str, Slopes] = {
 
 @dataclass(frozen=True, eq=False)
 class Potential:
-    """V of a design, ready to be enclosed over boxes of z."""
+    """V of a design over boxes of z, or of the states that are left when others rest at 0."""
 
     design: Design
+    resting: tuple[int, ...] = ()  # plant states that are held at 0; no Casimir depends on them
+    active: tuple[int, ...] = field(init=False)  # the others, in the order of z
+
+    def __post_init__(self) -> None:
+        states = range(self.design.loop.n)
+        object.__setattr__(self, "active", tuple(i for i in states if i not in self.resting))
+
+    @cached_property
+    def _energy(self) -> sp.Expr:
+        loop = self.design.loop
+        return loop.plant.H.subs({loop.z[i]: 0 for i in self.resting})
 
     def jet(self, Z: Interval) -> Jet:
-        """V, ∇V and ∇²V over boxes (B, n + nc), with S = (B,)."""
+        """V, ∇V and ∇²V in the active states over boxes (B, active), with S = (B,)."""
         with np.errstate(all="ignore"):
             middle = Z.mid
             both = self._jet(concatenate(Z, point(middle)))
             return both[: Z.shape[0]].centred(both[Z.shape[0] :], Z - middle)
 
     def slope(self, Z: Interval) -> Interval:
-        """Φ₁ = ∂Φ/∂(H + Hc) over boxes (B, n + nc), shape (B,)."""
+        """Φ₁ = ∂Φ/∂(H + Hc) over boxes (B, active), shape (B,)."""
         form, weights = self.design.form, self._weights
         if form.phi is None:
             return point(np.ones(Z.shape[0]))
@@ -77,9 +92,10 @@ class Potential:
         """(H + Hc, C) over boxes."""
         loop, form, weights = self.design.loop, self.design.form, self._weights
         variables = coordinates(Z)
-        functions = [loop.plant.H, *self.design.casimirs.functions]
-        H, *c = expression_jets(functions, dict(zip(loop.z, variables, strict=True)))
-        Hc = _compose(form.hc, weights[0], variables[loop.plant.n :])
+        functions = [self._energy, *self.design.casimirs.functions]
+        symbols = [loop.z[i] for i in self.active]
+        H, *c = expression_jets(functions, dict(zip(symbols, variables, strict=True)))
+        Hc = _compose(form.hc, weights[0], variables[-loop.controller.nc :])
         return Hc + H, self._casimir([_as_jet(part, variables[0]) for part in c])
 
     def _casimir(self, c: list[Jet]) -> Jet:
@@ -95,7 +111,15 @@ def _as_jet(part: Jet | Interval, like: Jet) -> Jet:
 
 
 def _compose(network: Network, weights: Vector, inputs: list[Jet]) -> Jet:
-    return chain(network_jet(network, weights, stack([j.value for j in inputs])), inputs)
+    """f(inputs); equal argument boxes, of which a grid has many, are evaluated once."""
+    X = stack([j.value for j in inputs])
+    unique, inverse = np.unique(np.concatenate([X.lo, X.hi], axis=1), axis=0, return_inverse=True)
+    d = X.shape[1]
+    parts = [
+        network_jet(network, weights, Interval(rows[:, :d], rows[:, d:]))
+        for rows in np.array_split(unique, -(-len(unique) // _ROWS))
+    ]
+    return chain(reduce(Jet.above, parts)[inverse.ravel()], inputs)
 
 
 def network_jet(network: Network, weights: Vector, X: Interval) -> Jet:
@@ -149,9 +173,11 @@ def target_enclosure(design: Design) -> Interval:
     return stack([*exact, *[point(value) for value in design.xi_star]])
 
 
-def matrix_enclosure(matrix: sp.Matrix, z: tuple[sp.Symbol, ...], Z: Interval) -> Interval:
-    """A matrix of expressions over one box (N,), (rows, columns)."""
-    variables = dict(zip(z, coordinates(Z[None, :]), strict=True))
-    jets = expression_jets(list(matrix), variables)
-    entries = [j.value[0] if isinstance(j, Jet) else j for j in jets]
-    return stack(entries).reshape(*matrix.shape)
+def matrix_enclosure(matrix: sp.Matrix, symbols: Sequence[sp.Symbol], Z: Interval) -> Interval:
+    """A matrix of expressions over boxes (B, symbols), (B, rows, columns)."""
+    variables = dict(zip(symbols, coordinates(Z), strict=True))
+    with np.errstate(all="ignore"):
+        jets = expression_jets(list(matrix), variables)
+    boxes = point(np.zeros(Z.shape[0]))  # gives constant entries their shape
+    entries = [boxes + (j.value if isinstance(j, Jet) else j) for j in jets]
+    return stack(entries).reshape(Z.shape[0], *matrix.shape)

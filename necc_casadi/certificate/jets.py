@@ -178,23 +178,21 @@ def _combine(expr: sp.Expr, cache: dict[sp.Expr, Jet | Interval]) -> Jet | Inter
         return reduce(lambda a, b: a + b, arguments)  # type: ignore[operator]
     if expr.is_Mul:
         return reduce(lambda a, b: a * b, arguments)  # type: ignore[operator]
-    return _jet(arguments[0]).apply(_SLOPES[type(expr)])
+    return _apply(arguments[0], _SLOPES[type(expr)])
 
 
-def _jet(value: Any) -> Jet:
-    if not isinstance(value, Jet):
-        raise TypeError(f"{value!r} is not a jet")
-    return value
+def _apply(value: Jet | Interval, slopes: Slopes) -> Jet | Interval:
+    return value.apply(slopes) if isinstance(value, Jet) else slopes(value)[0]
 
 
-def _power(expr: sp.Expr, cache: dict[sp.Expr, Jet | Interval]) -> Jet:
+def _power(expr: sp.Expr, cache: dict[sp.Expr, Jet | Interval]) -> Jet | Interval:
     base, exponent = expr.base, expr.exp
     if exponent.is_number:
         power = constant(exponent)
-        return _jet(_evaluate(base, cache)).apply(lambda v: _power_slopes(v, exponent, power))
-    logarithm = _evaluate(sp.log(base), cache)
-    product = _jet(_evaluate(exponent, cache)) * logarithm
-    return product.apply(_SLOPES[sp.exp])
+        return _apply(_evaluate(base, cache), lambda v: _power_slopes(v, exponent, power))
+    logarithm, factor = _evaluate(sp.log(base), cache), _evaluate(exponent, cache)
+    product = factor * logarithm if isinstance(factor, Jet) else logarithm * factor
+    return _apply(product, _SLOPES[sp.exp])
 
 
 def _power_slopes(

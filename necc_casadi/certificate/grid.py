@@ -1,0 +1,215 @@
+"""Region of attraction on a grid of cells: critical points excluded, then flooded from z̄.
+
+Every cell holds a lower bound of V; critical points are excluded cell by cell, or, around z̄, by
+∇²V ≻ 0 on a block of cells. Flooding from z̄ gives each cell the lowest level at which the
+connected component of {V ≤ c} may reach it. The largest c is just below the first level at which
+a reached cell lies on the boundary or may hold another critical point.
+"""
+
+from __future__ import annotations
+
+import heapq
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+import numpy.typing as npt
+
+from necc_casadi.certificate.definite import Truth, positive_definite
+from necc_casadi.certificate.enclosures import Potential
+from necc_casadi.certificate.intervals import Interval
+from necc_casadi.certificate.jets import Jet
+from necc_casadi.networks import Vector
+
+__all__ = ["Flood", "Grid", "flood", "make_grid"]
+
+Indices = npt.NDArray[np.intp]
+
+#: Pieces per axis into which a cell that limits the region is cut.
+_PIECES = {1: 16, 2: 8, 3: 4}  # powers of two: cut exactly
+_ROUNDS = 3
+
+
+@dataclass(frozen=True, eq=False)
+class Grid:
+    """Cells [kᵢhᵢ, (kᵢ+1)hᵢ] with first ≤ k < first + shape; hᵢ are powers of two, so exact."""
+
+    first: tuple[int, ...]  # (d,)
+    shape: tuple[int, ...]  # (d,)
+    step: tuple[float, ...]  # (d,)
+
+    @property
+    def size(self) -> int:
+        """Number of cells."""
+        return int(np.prod(self.shape))
+
+    def boxes(self, cells: Indices) -> Interval:
+        """Cells given by flat index as boxes, (cells, d)."""
+        index = np.stack(np.unravel_index(cells, self.shape), -1) + np.array(self.first)
+        step = np.array(self.step)
+        return Interval(index * step, (index + 1) * step)
+
+    def locate(self, box: Interval) -> Indices:
+        """Flat indices of the cells that a small box (d,) meets; empty if it leaves the grid."""
+        first, step = np.array(self.first), np.array(self.step)
+        low = np.floor(box.lo / step).astype(int) - first
+        high = np.floor(box.hi / step).astype(int) - first
+        if np.any(low < 0) or np.any(high >= np.array(self.shape)):
+            return np.array([], dtype=int)
+        ranges = [range(a, b + 1) for a, b in zip(low, high, strict=True)]
+        return np.array([np.ravel_multi_index(k, self.shape) for k in product(*ranges)])
+
+
+def make_grid(lo: Vector, hi: Vector, cells: int) -> Grid:
+    """A grid inside the box [lo, hi] with about `cells` cells, as cubic as powers of two allow."""
+    per_axis = cells ** (1 / lo.size)
+    step = 2.0 ** np.round(np.log2((hi - lo) / per_axis))
+    first = np.ceil(lo / step).astype(int)
+    shape = np.floor(hi / step).astype(int) - first
+    return Grid(tuple(map(int, first)), tuple(map(int, shape)), tuple(map(float, step)))
+
+
+@dataclass(frozen=True, eq=False)
+class Flood:
+    """The outcome of :func:`flood`."""
+
+    level: float  # c, just below what limits it
+    levels: Vector  # grid.shape, the level at which each cell is reached
+    upper: Vector  # grid.shape, upper bound of V on each cell
+    core: tuple[tuple[int, ...], tuple[int, ...]]  # block of cells, ends included, with ∇²V ≻ 0
+    limiting: int  # flat index of the cell that limits c
+    at_boundary: bool
+
+    @property
+    def cells(self) -> Truth:
+        """The cells of the component, grid.shape."""
+        return np.asarray(self.levels <= self.level)
+
+
+def flood(potential: Potential, grid: Grid, z_bar: Interval) -> Flood | None:
+    """The largest level on `grid`, or None where the surroundings of z̄ cannot be settled."""
+    start = grid.locate(z_bar)
+    if start.size == 0:
+        return None
+    with np.errstate(all="ignore"):
+        jet = potential.jet(grid.boxes(np.arange(grid.size)))
+        low = _finite_lower(jet)
+        open_cells = ~_excludes_zero(jet)
+        convex = positive_definite(jet.hess)
+        core = _core(grid, open_cells.reshape(grid.shape), convex.reshape(grid.shape), start)
+        if core is None:
+            return None
+        open_cells &= ~_block(grid, core).ravel()
+        faces = _faces(potential, grid)
+        limit = np.minimum(faces, np.where(open_cells, low, np.inf))
+        for _ in range(_ROUNDS):
+            level, levels, at = _spread(grid, low, limit, start)
+            worst = np.flatnonzero(open_cells & (levels.ravel() <= level) & (limit < faces))
+            if worst.size == 0 or faces[at] <= limit[at]:
+                break
+            limit[worst] = np.minimum(faces[worst], _refined(potential, grid, worst))
+        level, levels, at = _spread(grid, low, limit, start)
+    return Flood(
+        level, levels, jet.value.hi.reshape(grid.shape), core, at, bool(faces[at] <= limit[at])
+    )
+
+
+def _excludes_zero(jet: Jet) -> Truth:
+    """Boxes on which V is defined and ∇V cannot vanish, (B,)."""
+    defined = np.isfinite(jet.value.lo) & np.isfinite(jet.grad.lo + jet.grad.hi).all(-1)
+    return np.asarray(defined & ((jet.grad.lo > 0) | (jet.grad.hi < 0)).any(-1))
+
+
+def _finite_lower(jet: Jet) -> Vector:
+    return np.where(np.isfinite(jet.value.lo), jet.value.lo, -np.inf)
+
+
+def _core(
+    grid: Grid, undecided: Truth, convex: Truth, start: Indices
+) -> tuple[tuple[int, ...], tuple[int, ...]] | None:
+    """The block around the undecided cells that touch z̄'s; None unless V is convex on it."""
+    near = np.zeros(grid.shape, dtype=bool)
+    near.ravel()[start] = True
+    while True:
+        grown = near | (undecided & _dilated(near))
+        if (grown == near).all():
+            break
+        near = grown
+    index = np.argwhere(near)
+    low, high = index.min(0), index.max(0)
+    block = tuple(slice(a, b + 1) for a, b in zip(low, high, strict=True))
+    if not convex[block].all():
+        return None
+    return tuple(map(int, low)), tuple(map(int, high))
+
+
+def _dilated(mask: Truth) -> Truth:
+    result = mask.copy()
+    for axis in range(mask.ndim):
+        forward = np.moveaxis(result, axis, 0).copy()
+        grown = np.moveaxis(result, axis, 0)
+        grown[1:] |= forward[:-1]
+        grown[:-1] |= forward[1:]
+    return result
+
+
+def _block(grid: Grid, core: tuple[tuple[int, ...], tuple[int, ...]]) -> Truth:
+    mask = np.zeros(grid.shape, dtype=bool)
+    mask[tuple(slice(a, b + 1) for a, b in zip(*core, strict=True))] = True
+    return mask
+
+
+def _faces(potential: Potential, grid: Grid) -> Vector:
+    """Lower bound of V on the faces that each cell shares with the boundary; +∞ inside."""
+    result = np.full(grid.size, np.inf)
+    index = np.arange(grid.size).reshape(grid.shape)
+    for axis in range(len(grid.shape)):
+        for side in (0, -1):
+            cells = np.take(index, side, axis).ravel()
+            boxes = grid.boxes(cells)
+            lo, hi = boxes.lo.copy(), boxes.hi.copy()
+            (hi if side == 0 else lo)[:, axis] = (lo if side == 0 else hi)[:, axis]
+            value = _finite_lower(potential.jet(Interval(lo, hi)))
+            result[cells] = np.minimum(result[cells], value)
+    return result
+
+
+def _spread(grid: Grid, low: Vector, limit: Vector, start: Indices) -> tuple[float, Vector, int]:
+    """Flood in the order of the levels: (c, levels of the cells reached, cell that limits c)."""
+    levels = np.full(grid.size, np.inf)
+    queue = [(low[i], int(i)) for i in start]
+    for level, i in queue:
+        levels[i] = level
+    heapq.heapify(queue)
+    strides = [int(np.prod(grid.shape[axis + 1 :])) for axis in range(len(grid.shape))]
+    moves = list(zip(grid.shape, strides, strict=True))
+    ceiling, at = np.inf, int(start[0])
+    bottom, bound = low.tolist(), limit.tolist()
+    while queue and queue[0][0] < ceiling:
+        level, i = heapq.heappop(queue)
+        if level > levels[i]:
+            continue
+        if bound[i] < ceiling:
+            ceiling, at = max(bound[i], -np.inf), i
+        for count, stride in moves:
+            k = i // stride % count
+            for j in ([i - stride] if k > 0 else []) + ([i + stride] if k < count - 1 else []):
+                reached = max(level, bottom[j])
+                if reached < levels[j]:
+                    levels[j] = reached
+                    heapq.heappush(queue, (reached, j))
+    return float(np.nextafter(ceiling, -np.inf)), levels.reshape(grid.shape), at
+
+
+def _refined(potential: Potential, grid: Grid, cells: Indices) -> Vector:
+    """Lower bound of V where a cell may hold a critical point, after cutting it into pieces."""
+    d = len(grid.shape)
+    parts = _PIECES[d]
+    boxes = grid.boxes(cells)
+    offsets = np.array(list(product(range(parts), repeat=d)))
+    step = np.array(grid.step) / parts
+    lo = boxes.lo[:, None] + offsets * step
+    jet = potential.jet(Interval(lo.reshape(-1, d), (lo + step).reshape(-1, d)))
+    open_pieces = np.where(_excludes_zero(jet), np.inf, _finite_lower(jet))
+    lowest: Vector = open_pieces.reshape(len(cells), -1).min(1)
+    return lowest

@@ -1,0 +1,172 @@
+"""The region certificate: the component Ω of {V ≤ c} around z̄ lies in the domain, and what follows.
+
+With y the states that are not momenta of :func:`quadratic_states`, Ω is over the component of
+{V(y, 0) ≤ c}; there the momenta satisfy ½ δ tᵢ sᵢ² ≤ c − V(z̄), which keeps them in the domain.
+"""
+
+from __future__ import annotations
+
+import base64
+import zlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from necc_casadi.artifact import Design
+from necc_casadi.certificate.definite import Truth
+from necc_casadi.certificate.enclosures import Potential
+from necc_casadi.certificate.equilibrium import Equilibrium
+from necc_casadi.certificate.grid import Flood, Grid, flood, make_grid
+from necc_casadi.certificate.intervals import Interval
+from necc_casadi.certificate.structure import quadratic_states, stiffness
+from necc_casadi.networks import Vector
+
+__all__ = ["Domain", "GridRegion", "Proof", "domain_of", "prove_region"]
+
+#: Cells of the grid, by dimension; more dimensions are the business of the convex core.
+_CELLS = {1: 4096, 2: 128**2, 3: 40**3}
+
+
+@dataclass(frozen=True, eq=False)
+class Domain:
+    """The box of interest."""
+
+    lo: Vector  # (N,)
+    hi: Vector  # (N,)
+
+    def of(self, states: Sequence[int]) -> Domain:
+        """The box of some of the states."""
+        chosen = list(states)
+        return Domain(self.lo[chosen], self.hi[chosen])
+
+    @property
+    def volume(self) -> float:
+        """Product of the sides."""
+        return float(np.prod(self.hi - self.lo))
+
+
+def domain_of(design: Design) -> Domain:
+    """The model's domain; where it names no bounds, target ± 2 and ξ* ± 2."""
+    named = {str(name): bounds for name, bounds in design.loop.plant.domain.items()}
+    pairs = [
+        tuple(float(b) for b in named[state]) if state in named else (z - 2.0, z + 2.0)
+        for state, z in zip(design.loop.states, design.z_star, strict=True)
+    ]
+    lo, hi = np.array(pairs, dtype=float).T
+    return Domain(lo, hi)
+
+
+@dataclass(frozen=True)
+class GridRegion:
+    """Ω as a level and the grid cells that hold the component of {V(y, 0) ≤ c}."""
+
+    level: float  # c
+    active: tuple[int, ...]  # the states y
+    first: tuple[int, ...]  # grid, see Grid
+    shape: tuple[int, ...]
+    step: tuple[float, ...]
+    core: tuple[tuple[int, ...], tuple[int, ...]]  # block around z̄ with ∇²V ≻ 0
+    cells: str  # bits of the component, compressed, base 64
+    method: str = "grid"
+
+    @property
+    def grid(self) -> Grid:
+        """The cells."""
+        return Grid(self.first, self.shape, self.step)
+
+    @property
+    def mask(self) -> Truth:
+        """The cells of the component, in the shape of the grid."""
+        bits = np.frombuffer(zlib.decompress(base64.b64decode(self.cells)), dtype=np.uint8)
+        count = int(np.prod(self.shape))
+        return np.unpackbits(bits, count=count).astype(bool).reshape(self.shape)
+
+    def contains(self, design: Design, z: Sequence[float]) -> bool:
+        """Whether z is in Ω, by plain evaluation of V."""
+        y = np.asarray(z, float)[list(self.active)]
+        cells = self.grid.locate(Interval(y, y))
+        return bool(cells.size and self.mask.ravel()[cells[0]] and design.V(z) <= self.level)
+
+
+@dataclass(frozen=True, eq=False)
+class Proof:
+    """A region, what limits it, and what it covers; `region` is None where nothing is proved."""
+
+    region: GridRegion | None
+    limited_by: str
+    shares: Mapping[str, float]
+
+
+def prove_region(potential: Potential, equilibrium: Equilibrium) -> Proof:
+    """The largest level that can be proved in the model's domain."""
+    design = potential.design
+    resting = quadratic_states(design)
+    reduced = Potential(design, resting)
+    domain = domain_of(design)
+    inner = domain.of(reduced.active)
+    if len(reduced.active) not in _CELLS:
+        return Proof(None, f"{len(reduced.active)} coupled states are too many for a grid", {})
+    grid = make_grid(inner.lo, inner.hi, _CELLS[len(reduced.active)])
+    z_bar = equilibrium.box[list(reduced.active)]
+    found = flood(reduced, grid, z_bar)
+    if found is None:
+        return Proof(None, "the surroundings of z̄ are not proved free of other critical points", {})
+    level, limited_by = found.level, _limit(reduced, grid, found)
+    bottom = float(reduced.jet(z_bar[None, :]).value.lo[0])
+    ceiling, state = momentum_ceiling(design, resting, domain, bottom)
+    if ceiling < level:
+        level, limited_by = ceiling, f"the domain, in {state}"
+    if not level > float(reduced.jet(z_bar[None, :]).value.hi[0]):
+        return Proof(None, limited_by, {})
+    mask = found.levels <= level
+    region = GridRegion(
+        level, reduced.active, grid.first, grid.shape, grid.step, found.core, _packed(mask)
+    )
+    return Proof(region, limited_by, _shares(design, region, found, mask, inner))
+
+
+def momentum_ceiling(
+    design: Design, resting: Sequence[int], domain: Domain, bottom: float
+) -> tuple[float, str]:
+    """Level below which the momenta stay in the domain, and the momentum that binds."""
+    if not resting:
+        return np.inf, ""
+    active = [i for i in range(design.loop.n) if i not in resting]
+    y, s = domain.of(active), domain.of(resting)
+    reach = np.minimum(-s.lo, s.hi)
+    t = stiffness(design, resting, Interval(y.lo, y.hi))
+    states = [design.loop.states[i] for i in resting]
+    if t is None or (reach <= 0).any():
+        return -np.inf, states[int(np.argmin(reach))]
+    delta = 1.0 if design.form.phi is None else float(design.form.phi.delta)
+    ceilings = bottom + 0.5 * delta * t * reach**2 * (1 - 1e-12)
+    tightest = int(np.argmin(ceilings))
+    return float(np.nextafter(ceilings[tightest], -np.inf)), states[tightest]
+
+
+def _limit(potential: Potential, grid: Grid, found: Flood) -> str:
+    box = grid.boxes(np.array([found.limiting]))
+    names = [potential.design.loop.states[i] for i in potential.active]
+    where = ", ".join(f"{n} = {v:.3g}" for n, v in zip(names, box.mid[0], strict=True))
+    return f"the domain, near {where}" if found.at_boundary else f"a critical point near {where}"
+
+
+def _packed(mask: Truth) -> str:
+    return base64.b64encode(zlib.compress(np.packbits(mask.ravel()).tobytes(), 9)).decode()
+
+
+def _shares(
+    design: Design, region: GridRegion, found: Flood, mask: Truth, domain: Domain
+) -> dict[str, float]:
+    """Lower bounds of shares of the domain, momenta at rest: of all states, and of the plant's."""
+    inside = mask & (found.upper <= region.level)
+    cell = float(np.prod(region.step))
+    plant = [k for k, i in enumerate(region.active) if i < design.loop.plant.n]
+    controller = tuple(k for k in range(len(region.active)) if k not in plant)
+    side = float(np.prod([region.step[k] for k in plant]))
+    seen = inside.any(axis=controller)
+    return {
+        "domain_share": float(inside.sum()) * cell / domain.volume,
+        "plant_share": float(seen.sum()) * side / domain.of(plant).volume,
+    }

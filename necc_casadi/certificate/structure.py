@@ -1,0 +1,103 @@
+"""What the structure of the model says about V before any number is computed.
+
+Momenta that enter H as ½ sᵀA(y)s, and no Casimir, can be minimised out: with y the other states,
+V(y, s) ≥ V(y, 0) + ½ δ sᵀA(y)s where Φ₁ ≥ δ, so critical points have s = 0 and the region needs a
+search over y alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import sympy as sp
+
+from necc_casadi import exact as ex
+from necc_casadi.artifact import Design
+from necc_casadi.certificate.definite import positive_definite
+from necc_casadi.certificate.enclosures import matrix_enclosure
+from necc_casadi.certificate.intervals import Interval
+from necc_casadi.networks import Vector
+
+#: Shares of the stiffness at the middles of the boxes that are tried, in this order.
+_SHARES = (0.999999, 0.99, 0.95, 0.9, 0.8, 0.6, 0.4, 0.2)
+
+__all__ = ["critical_points_are_invariant", "quadratic_states", "stiffness"]
+
+
+def quadratic_states(design: Design) -> tuple[int, ...]:
+    """Indices of plant states s with H = ½ sᵀA(y)s + U(y), target 0, that no Casimir contains."""
+    plant = design.loop.plant
+    used = set().union(*(c.free_symbols for c in design.casimirs.functions))
+    resting = [
+        s for s, target in zip(plant.x, design.x_star, strict=True) if s not in used and target == 0
+    ]
+    while resting:
+        stiffness = sp.hessian(plant.H, resting).applyfunc(sp.simplify)
+        occurrences = [sum(e.has(s) for e in stiffness) for s in resting]
+        if not any(occurrences):
+            break
+        resting.pop(int(np.argmax(occurrences)))
+    at_rest = dict.fromkeys(resting, 0)
+    resting = [s for s in resting if ex.is_zero(sp.diff(plant.H, s).subs(at_rest))]
+    return tuple(plant.x.index(s) for s in resting)
+
+
+def stiffness(design: Design, resting: Sequence[int], box: Interval) -> Vector | None:
+    """Numbers tᵢ > 0 with A(y) ⪰ tᵢ eᵢeᵢᵀ for every y in a box of the other states, (resting,).
+
+    None where A(y) ≻ 0 is not proved on the box.
+    """
+    loop = design.loop
+    A = sp.hessian(loop.plant.H, [loop.z[i] for i in resting])
+    others = [s for i, s in enumerate(loop.z) if i not in resting]
+    used = [i for i, s in enumerate(others) if A.has(s)]
+    parts = max(4, round(2048 ** (1 / max(1, len(used)))))
+    cells = _subdivide(box[np.array(used, dtype=int)], min(parts, 256))
+    enclosure = matrix_enclosure(A, [others[i] for i in used], cells)
+    if not (np.isfinite(enclosure.lo).all() and np.isfinite(enclosure.hi).all()):
+        return None
+    inverse = np.linalg.pinv(enclosure.mid)
+    ideal = 1 / np.diagonal(inverse, axis1=-2, axis2=-1).max(axis=0)
+    result = np.zeros(len(resting))
+    for share in _SHARES:
+        for i in np.flatnonzero(result == 0):
+            unit = np.diag(np.eye(len(resting))[i])
+            if positive_definite(enclosure - share * ideal[i] * unit).all():
+                result[i] = share * ideal[i]
+    return result if (result > 0).all() else None
+
+
+def _subdivide(box: Interval, parts: int) -> Interval:
+    """A box (d,) cut into parts^d boxes, (parts^d, d)."""
+    d = box.shape[0]
+    if d == 0:
+        empty = np.zeros((1, 0))
+        return Interval(empty, empty)
+    edges = [np.linspace(box.lo[i], box.hi[i], parts + 1) for i in range(d)]
+    lows = np.meshgrid(*[e[:-1] for e in edges], indexing="ij")
+    highs = np.meshgrid(*[e[1:] for e in edges], indexing="ij")
+    return Interval(
+        np.stack([v.ravel() for v in lows], -1), np.stack([v.ravel() for v in highs], -1)
+    )
+
+
+def critical_points_are_invariant(design: Design, resting: Sequence[int]) -> bool:
+    """Whether the largest invariant set of E = {𝒢ᵀ∇V = 0, Rcl∇V = 0} is the critical points of V.
+
+    On E, w = ∇V lies in N = ker [𝒢ᵀ; Rcl] and ż = Jcl w/Φ₁. Let Jcl N be constant, of full column
+    rank, with nonzero rows only for momenta s of :func:`quadratic_states`, and N zero in those
+    rows. Then motion inside E moves s alone, while Φ₁ A(y) s stays zero in the moving rows: since
+    A ≻ 0, s does not move either, so Jcl w = 0 and w = 0. Where R depends on the state only 𝒢 is
+    used, which makes N larger. False means: not proved.
+    """
+    loop = design.loop
+    if loop.ports.free_symbols:
+        return False
+    rows = [sp.Matrix(loop.ports.T)] + ([] if loop.R.free_symbols else [sp.Matrix(loop.R)])
+    N = ex.kernel(sp.Matrix.vstack(*rows))
+    motion = sp.Matrix(loop.J) * N
+    if motion.free_symbols or motion.rank() < N.cols:
+        return False
+    moving = [i for i in range(loop.n) if any(motion[i, :])]
+    return all(i in resting and not any(N[i, :]) for i in moving)
