@@ -2,6 +2,7 @@
 
 from necc_casadi.export.compiled import CompiledController, compile_controller, load_controller
 from necc_casadi.export.fmu import export_fmu
+from necc_casadi.export.matlab import export_mex
 from necc_casadi.export.sampling import Sampling, analyse_sampling
 from necc_casadi.export.write import export_c
 
@@ -12,5 +13,6 @@ __all__ = [
     "compile_controller",
     "export_c",
     "export_fmu",
+    "export_mex",
     "load_controller",
 ]

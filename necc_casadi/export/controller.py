@@ -46,7 +46,7 @@ def _networks(source: Source) -> list[CNetwork]:
     names = ["hc", "k", *(f"beta{i + 1}" for i in range(len(form.betas)))]
     names += ["phi"] if source.neural_phi else []
     triples = zip(names, form.networks, form.split(source.design.weights), strict=True)
-    return [c_network(*t, LANES[source.real]) for t in triples if t[1].inputs > 0]
+    return [c_network(*t, LANES[source.real]) for t in triples]
 
 
 def _leaves(source: Source) -> list[str]:
@@ -58,16 +58,14 @@ def _leaves(source: Source) -> list[str]:
     grad_hc, gamma = ca.SX.sym("grad_hc", source.nc), ca.SX.sym("gamma", source.r)
     phi_1 = ca.SX.sym("phi_1") if source.neural_phi else ca.SX(1)
     grad_H, G, Gc = terms.grad_H(x), terms.G(x), terms.Gc(xi)
-    V_x = phi_1 * grad_H + ca.jtimes(c, x, gamma, True)
-    V_xi = phi_1 * grad_hc + ca.jtimes(c, xi, gamma, True)
+    V_x = phi_1 * grad_H + ca.jacobian(c, x).T @ gamma
+    V_xi = phi_1 * grad_hc + ca.jacobian(c, xi).T @ gamma
     u = -Gc.T @ grad_hc - ca.DM(design.D) @ (G.T @ V_x)
     v_c = -ca.DM(design.Dc) @ (Gc.T @ V_xi)
     xi_dot = terms.Fc(xi) @ grad_hc + Gc @ (G.T @ grad_H + v_c)
     slopes = {"grad_hc": grad_hc, "gamma": gamma, "phi_1": phi_1}
     arguments = [("x", x), ("xi", xi), *((name, slopes[name]) for name in _slopes(source))]
-    leaves = []
-    if source.r:
-        leaves.append(leaf("casimirs", arguments[:2], [("c", c)], real))
+    leaves = [leaf("casimirs", arguments[:2], [("c", c)], real)]
     if source.neural_phi:
         leaves.append(leaf("hamiltonian", arguments[:1], [("H", terms.H(x))], real))
     leaves.append(leaf("control_law", arguments, [("u", u), ("xidot", xi_dot)], real))
@@ -77,11 +75,7 @@ def _leaves(source: Source) -> list[str]:
 
 def _slopes(source: Source) -> list[str]:
     """What the plant terms need of the networks."""
-    return [
-        "grad_hc",
-        *(["gamma"] if source.r else []),
-        *(["phi_1"] if source.neural_phi else []),
-    ]
+    return ["grad_hc", "gamma", *(["phi_1"] if source.neural_phi else [])]
 
 
 def _members(source: Source) -> str:
@@ -92,8 +86,7 @@ def _parts(source: Source) -> str:
     """Members of ``shape_terms``."""
     parts = ["necc_real value; /* V" + (" */" if source.neural_phi else " - H(x) */")]
     parts.append("necc_real grad_hc[NECC_NXI];")
-    if source.r:
-        parts.append(f"necc_real gamma[{source.r}]; /* Phi_2 dC/dc */")
+    parts.append(f"necc_real gamma[{source.r}]; /* Phi_2 dC/dc */")
     if source.neural_phi:
         parts.append("necc_real phi_1[1];")
     return "\n".join(parts)
@@ -115,15 +108,12 @@ def _shape(source: Source) -> str:
         ]
     else:
         body.append("s->value = hc_value + casimir;")
-    unused = [] if source.r or source.neural_phi else ["(void)x;"]
-    return "\n".join([*variables, *unused, *body])
+    return "\n".join([*variables, *body])
 
 
 def _casimir(source: Source) -> tuple[list[str], list[str]]:
     """Variables and statements that give C and ∂C/∂c in the joint or the sum form."""
     r = source.r
-    if r == 0:
-        return ["necc_real hc_value;", "const necc_real casimir = R(0.0);"], []
     variables, body = [f"necc_real hc_value, casimir, c[{r}];"], ["casimirs(x, xi, c);"]
     if not source.design.form.betas:
         return variables, [*body, "casimir = k(c, s->gamma);"]

@@ -57,7 +57,7 @@ class Real:
         return ", ".join(self.literal(v) for v in values)
 
 
-_LONG = 72  # longer expressions get a name
+_LONG = 40  # longer expressions get a name
 
 _INFIX = {ca.OP_ADD: "+", ca.OP_SUB: "-", ca.OP_MUL: "*", ca.OP_DIV: "/"}
 _CALLS = {

@@ -17,6 +17,7 @@
 #define NECC_NXI @nc@ /* controller states */
 #define NECC_NU @m@ /* inputs */
 @sample_define@@sampling@
+
 /* Order and units:
 @order@
  */
