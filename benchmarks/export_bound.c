@@ -64,8 +64,8 @@ static void spread(const double *w, int rows, double *columns)
 
 static void __attribute__((constructor)) spread_all(void)
 {
-    spread(k_2, 64, k_columns);
-    spread(hc_2, 32, hc_columns);
+    spread(k_w2, 64, k_columns);
+    spread(hc_w2, 32, hc_columns);
 }
 
 /* in and out alternate value and derivative. */
@@ -109,11 +109,11 @@ void run(const double *x, const double *xi, double *u, double *xidot)
 {
     double a[128], b[128], grad_hc[1], gamma[1];
     const double c[2] = {x[0] - xi[0], 1.0}, h[2] = {xi[0], 1.0};
-    hidden(k_1, 64, 1, c, a);
+    hidden(k_w1, 64, 1, c, a);
     hidden(k_columns, 64, 64, a, b);
-    gamma[0] = last_slope(k_3, 64, b);
-    hidden(hc_1, 32, 1, h, a);
+    gamma[0] = last_slope(k_w3, 64, b);
+    hidden(hc_w1, 32, 1, h, a);
     hidden(hc_columns, 32, 32, a, b);
-    grad_hc[0] = last_slope(hc_3, 32, b);
+    grad_hc[0] = last_slope(hc_w3, 32, b);
     control_law(x, xi, grad_hc, gamma, u, xidot);
 }

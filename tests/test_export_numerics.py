@@ -173,9 +173,11 @@ def test_saturation_clips_u_raises_its_flag_and_leaves_xi_alone(limits):
 SANITIZERS = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
 
 
-@pytest.mark.parametrize("compiler", COMPILERS)
+BUILDS = [(compiler, []) for compiler in COMPILERS] + [("gcc", SANITIZERS)] * ("gcc" in COMPILERS)
+
+
+@pytest.mark.parametrize(("compiler", "sanitize"), BUILDS)
 @pytest.mark.parametrize("real", ["double", "float"])
-@pytest.mark.parametrize("sanitize", [[], SANITIZERS], ids=["plain", "sanitized"])
 def test_the_self_test_passes_and_fails_when_a_weight_is_wrong(tmp_path, compiler, real, sanitize):
     d = design(pendulum_loop(((-2.0, 1.0),)), Form(Network(1, (5,)), Network(1, (6,))))
     export_c(d, tmp_path, real=real, sample_time=0.01, measured=False)
@@ -190,7 +192,7 @@ def test_the_self_test_passes_and_fails_when_a_weight_is_wrong(tmp_path, compile
     assert done.returncode == 0, done.stdout + done.stderr
     assert "0 failures" in done.stdout
     code = (tmp_path / "necc.c").read_text()
-    weight = f"hc_2[{LANES[real] + 1}] = {{\n    "
+    weight = f"hc_w2[{LANES[real] + 1}] = {{\n    "
     assert weight in code
     (tmp_path / "necc.c").write_text(code.replace(weight, weight + "9 +"))
     assert build_and_run().returncode == 1

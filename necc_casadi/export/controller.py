@@ -95,14 +95,14 @@ def _parts(source: Source) -> str:
 def _shape(source: Source) -> str:
     """Body of ``shape``: the networks at (x, ξ), put together by the chain rule."""
     variables, casimir = _casimir(source)
-    body = ["hc_value = hc(xi, s->grad_hc);", *casimir]
+    body = ["hc_value = hc_network(xi, s->grad_hc);", *casimir]
     if source.neural_phi:
         variables.append("necc_real H, point[2], slopes[2];")
         body += [
             "hamiltonian(x, &H);",
             "point[0] = H + hc_value;",
             "point[1] = casimir;",
-            "s->value = phi(point, slopes);",
+            "s->value = phi_network(point, slopes);",
             "s->phi_1[0] = slopes[0];",
             *(f"s->gamma[{i}] *= slopes[1];" for i in range(source.r)),
         ]
@@ -116,12 +116,12 @@ def _casimir(source: Source) -> tuple[list[str], list[str]]:
     r = source.r
     variables, body = [f"necc_real hc_value, casimir, c[{r}];"], ["casimirs(x, xi, c);"]
     if not source.design.form.betas:
-        return variables, [*body, "casimir = k(c, s->gamma);"]
-    terms = " + ".join(f"beta{i + 1}(c + {i}, s->gamma + {i})" for i in range(r))
+        return variables, [*body, "casimir = k_network(c, s->gamma);"]
+    terms = " + ".join(f"beta{i + 1}_network(c + {i}, s->gamma + {i})" for i in range(r))
     scale = [f"s->gamma[{i}] *= slope;" for i in range(r)]
     return (
         [*variables, "necc_real sum, slope;"],
-        [*body, f"sum = {terms};", "casimir = k(&sum, &slope);", *scale],
+        [*body, f"sum = {terms};", "casimir = k_network(&sum, &slope);", *scale],
     )
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import platform
 import re
-import subprocess
 import sys
 import tempfile
 import zipfile
@@ -14,8 +13,7 @@ from pathlib import Path
 from xml.etree import ElementTree as ET
 
 from necc_casadi.artifact import Design, write_text
-from necc_casadi.errors import OutputError
-from necc_casadi.export.compiled import find_compiler
+from necc_casadi.export.compiled import compile_shared, find_compiler
 from necc_casadi.export.controller import controller
 from necc_casadi.export.header import header
 from necc_casadi.export.source import Source
@@ -80,17 +78,12 @@ def _platform() -> tuple[str, str]:
 
 def _binary(compiler: str, texts: dict[str, str]) -> bytes:
     with tempfile.TemporaryDirectory(prefix="necc-") as build:
+        folder, target = Path(build), Path(build) / "fmu.so"
         for name, text in texts.items():
-            (Path(build) / name).write_text(text, encoding="utf-8")
-        command = [compiler, "-std=c99", "-O2", "-ffp-contract=off", "-fvisibility=hidden"]
-        command += ["-shared", "-fPIC", *_SOURCES, "-o", "fmu.so", "-lm"]
-        done = subprocess.run(command, cwd=build, capture_output=True, text=True, check=False)
-        if done.returncode != 0:
-            first = (done.stderr.strip().splitlines() or ["it said nothing"])[0]
-            raise OutputError(
-                "output", f"{compiler} failed: {first}", "Name another compiler in CC."
-            )
-        return (Path(build) / "fmu.so").read_bytes()
+            (folder / name).write_text(text, encoding="utf-8")
+        sources = [folder / name for name in _SOURCES]
+        compile_shared(compiler, sources, target, ["-O2", "-fvisibility=hidden"])
+        return target.read_bytes()
 
 
 def _description(source: Source, guid: str, name: str) -> str:

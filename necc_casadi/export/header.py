@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import textwrap
+
 from necc_casadi.export.sampling import analyse_sampling
 from necc_casadi.export.source import Source
 from necc_casadi.export.templating import comment, fill
@@ -45,7 +47,13 @@ def _claims(source: Source) -> str:
     if not source.claims:
         return ": nothing; no certificate came with it."
     about = " (of the continuous-time loop with\n * exact arithmetic, u not saturated):"
-    return about + "".join(f"\n *   - {comment(claim)}" for claim in source.claims)
+    return about + "".join(f"\n{_item(comment(claim))}" for claim in source.claims)
+
+
+def _item(text: str) -> str:
+    return textwrap.fill(
+        text, 96, initial_indent=" *   - ", subsequent_indent=" *     ", break_long_words=False
+    )
 
 
 def _sampling(source: Source) -> str:

@@ -40,13 +40,13 @@ class CNetwork:
         for index, (W, b) in enumerate(self.layers, 1):
             last = index == len(self.layers)
             values = np.concatenate([W.ravel(), b] if last else [b, _panels(W, LANES[real.name])])
-            parts.append(_table(f"{self.name}_{index}", values, real))
+            parts.append(_table(f"{self.name}_w{index}", values, real))
         if self.quadratic is not None:
             parts.append(_table(f"{self.name}_quadratic", self.quadratic, real))
         return "\n".join(parts)
 
     def function(self, real: Real) -> str:
-        """``name(v, slope)``: the value; ``slope`` becomes the gradient."""
+        """``name_network(v, slope)``: the value; ``slope`` becomes the gradient."""
         d, (*hidden, (W_last, _)) = self.inputs, self.layers
         shape = " -> ".join(str(n) for n in (d, *(W.shape[0] for W, _ in hidden), 1))
         body = [f"start(v, {d}, {d if hidden else W_last.shape[1]}, a);"]
@@ -54,12 +54,12 @@ class CNetwork:
         for index, (W, _) in enumerate(hidden, 1):
             rows, columns = W.shape
             body.append(
-                f"layer_{self.activation}({self.name}_{index}, {rows}, {columns}, {1 + d}, "
+                f"layer_{self.activation}({self.name}_w{index}, {rows}, {columns}, {1 + d}, "
                 f"{source}, {target});"
             )
             source, target = target, source
         body.append(
-            f"value = output({self.name}_{len(self.layers)}, {W_last.shape[1]}, {d}, "
+            f"value = output({self.name}_w{len(self.layers)}, {W_last.shape[1]}, {d}, "
             f"{source}, slope);"
         )
         if self.quadratic is not None:
@@ -70,7 +70,7 @@ class CNetwork:
         buffers = ", ".join(f"{b}[{1 + d} * WIDTH]" for b in ("ab" if hidden else "a"))
         return "\n".join([
             f"/* {self.name}: {shape}, {self.activation} */",
-            f"static necc_real {self.name}(const necc_real v[{d}], necc_real slope[{d}])",
+            f"static necc_real {self.name}_network(const necc_real v[{d}], necc_real slope[{d}])",
             "{",
             f"    necc_real {buffers};",
             "    necc_real value;",

@@ -86,10 +86,10 @@ static necc_real product(const necc_real *a, const necc_real *b)
 /* Damped Newton method with Armijo's rule: at most 50 steps with 30 halvings each. */
 int necc_init_at(necc_state *state, const necc_real x0[NECC_NX])
 {
-    necc_real *const xi = state->xi;
-    necc_real g[NECC_NXI], step[NECC_NXI], trial[NECC_NXI], unused[NECC_NXI];
+    necc_real *xi, g[NECC_NXI], step[NECC_NXI], trial[NECC_NXI], unused[NECC_NXI];
     int i, iteration, halvings;
     necc_init(state);
+    xi = state->xi;
     if (!all_finite(x0, NECC_NX))
         return NECC_REJECTED;
     for (iteration = 0; iteration < 50; ++iteration) {

@@ -58,6 +58,26 @@ static void check_rejection(necc_real bad)
         check(fpclassify(u[i]) == FP_ZERO, "u = 0 when rejected");
 }
 
+/* Far out and next to zero, the result is finite or rejected. */
+static void check_finite(necc_real far)
+{
+    necc_real x[NECC_NX], u[NECC_NU];
+    necc_state state;
+    int i, flags;
+    necc_init(&state);
+    for (i = 0; i < NECC_NX; ++i)
+        x[i] = far;
+    flags = necc_step(&state, x, u, necc_vectors[0].dt);
+    for (i = 0; i < NECC_NU; ++i)
+        check(isfinite(u[i]), "finite u");
+    for (i = 0; i < NECC_NXI; ++i)
+        check(isfinite(state.xi[i]), "finite xi");
+    flags |= necc_init_at(&state, x);
+    for (i = 0; i < NECC_NXI; ++i)
+        check(isfinite(state.xi[i]), "finite xi of necc_init_at");
+    check((flags & ~(NECC_SATURATED | NECC_REJECTED | NECC_NOT_CONVERGED)) == 0, "known flags");
+}
+
 int main(void)
 {
     int i;
@@ -65,6 +85,9 @@ int main(void)
         check_vector(&necc_vectors[i]);
     check_rejection((necc_real)NAN);
     check_rejection((necc_real)INFINITY);
+    check_finite((necc_real)1e30);
+    check_finite((necc_real)-1e30);
+    check_finite((necc_real)1e-40);
     printf("%d vectors, largest error %.3g, %d failures\n", NECC_VECTORS, worst, failures);
     return failures == 0 ? EXIT_SUCCESS : EXIT_FAILURE;
 }
