@@ -29,7 +29,7 @@ from necc_casadi.expressions import identifiers, parse, to_text
 from necc_casadi.learned import Residual
 from necc_casadi.loop import ClosedLoop, Controller
 from necc_casadi.lyapunov import Form, LyapunovFunction, make_terms
-from necc_casadi.networks import MonotonePhi, Network, Vector
+from necc_casadi.networks import ACTIVATIONS, MonotonePhi, Network, Vector
 from necc_casadi.outcome import Start
 from necc_casadi.plant import Plant, Property
 
@@ -160,9 +160,22 @@ class Design:
             data = json.loads(text)
             if data.get("format") != FORMAT:
                 raise OutputError("output", f"{label} has format {data.get('format')!r}", remedy)
-            return _from_dict(data)
-        except (KeyError, TypeError, ValueError, AttributeError, IndexError) as problem:
+            design = _from_dict(data)
+            _check_whole(design, data)
+            return design
+        except _BROKEN as problem:
             raise OutputError("output", f"{label} is not a design: {problem!r}", remedy) from None
+
+
+#: What reading a file that is no design can raise.
+_BROKEN = (
+    ArithmeticError,
+    AttributeError,
+    LookupError,
+    RecursionError,
+    TypeError,
+    ValueError,
+)
 
 
 def package_versions() -> dict[str, str]:
@@ -245,7 +258,7 @@ def _to_dict(design: Design) -> dict[str, Any]:
         "format": FORMAT,
         "versions": dict(design.versions),
         "model": model,
-        "model_hash": hashlib.sha256(json.dumps(model, sort_keys=True).encode()).hexdigest(),
+        "model_hash": _model_hash(model),
         "casimirs": {
             "functions": text(design.casimirs.functions),
             "kernel_rank": design.casimirs.kernel_rank,
@@ -274,6 +287,37 @@ def _to_dict(design: Design) -> dict[str, Any]:
         "learned": None if design.learned is None else asdict(design.learned),
         "weights": _hex(design.weights),
     }
+
+
+def _model_hash(model: Mapping[str, Any]) -> str:
+    return hashlib.sha256(json.dumps(model, sort_keys=True).encode()).hexdigest()
+
+
+def _check_whole(design: Design, data: Mapping[str, Any]) -> None:
+    """Raise ValueError where the parts of a file do not belong together."""
+    plant, controller, form = design.loop.plant, design.loop.controller, design.form
+    n, nc, m = plant.n, controller.nc, plant.m
+    r = len(design.casimirs.functions)
+    if data["model_hash"] != _model_hash(data["model"]):
+        raise ValueError("the model was edited: its hash differs")
+    shapes = {
+        "weights": (design.weights, (form.size,)),
+        "xi_star": (design.xi_star, (nc,)),
+        "D": (design.D, (m, m)),
+        "Dc": (design.Dc, (m, m)),
+        "target": (np.array([float(sp.N(v, 20)) for v in design.x_star]), (n,)),
+    }
+    for name, (values, shape) in shapes.items():
+        if np.shape(values) != shape or not np.all(np.isfinite(values)):
+            raise ValueError(f"{name} must hold finite numbers of shape {shape}")
+    if min(np.linalg.eigvalsh(damping)[0] for damping in (design.D, design.Dc)) <= 0:
+        raise ValueError("D and Dc must be positive definite")
+    inputs = [form.hc.inputs, form.k.inputs, *[beta.inputs for beta in form.betas]]
+    if inputs != [nc, *([1] * (1 + r) if form.betas else [r])]:
+        raise ValueError("the networks do not fit the controller and its Casimirs")
+    for network in (form.hc, form.k, *form.betas):
+        if network.activation not in ACTIVATIONS or min(network.hidden, default=1) < 1:
+            raise ValueError(f"no such network: {network}")
 
 
 _VERDICT_PLAIN = ("assignable", "reason", "explanation", "a_max", "stability", "witness")

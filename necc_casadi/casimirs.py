@@ -16,6 +16,7 @@ from necc_casadi.ansatz import Search, find_closed_forms, independent, rates
 from necc_casadi.errors import ModelError
 from necc_casadi.involution import count_casimirs
 from necc_casadi.loop import ClosedLoop
+from necc_casadi.plant import scalar_entry
 
 __all__ = ["Casimirs", "find_casimirs"]
 
@@ -68,7 +69,7 @@ def find_casimirs(
         proved to be one.
     """
     M = loop.M
-    given = [_proved(loop, sp.sympify(c), i) for i, c in enumerate(supplied)]
+    given = [_proved(loop, c, i) for i, c in enumerate(supplied)]
     kernel_rank = loop.n - ex.generic_rank(sp.Matrix(M))
     if not M.free_symbols:
         return _constant(loop, kernel_rank)
@@ -109,14 +110,8 @@ def _counted(
 
 
 def _proved(loop: ClosedLoop, c: sp.Expr, index: int) -> sp.Expr:
-    unknown = sorted(map(str, c.free_symbols - set(loop.z)))
+    c = scalar_entry(c, f"casimirs[{index}]", loop.z)
     label = f"casimirs[{index}] = {c}"
-    if unknown:
-        raise ModelError(
-            "undefined_symbol",
-            f"{label} contains {', '.join(unknown)}, not among {', '.join(loop.states)}",
-            "A Casimir is a function of the plant's and the controller's states.",
-        )
     for j, rate in enumerate(rates(c, loop)):
         verdict = ex.is_zero(rate)
         if verdict is not True:

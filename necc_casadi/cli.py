@@ -60,6 +60,20 @@ def _range(_ctx: click.Context, _option: click.Parameter, text: str | None) -> A
     return result
 
 
+class _Positive(click.FloatRange):
+    """A finite number above zero."""
+
+    def __init__(self) -> None:
+        super().__init__(min=0, min_open=True)
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> Any:
+        """Text to a float; nan and inf are no numbers here."""
+        number = super().convert(value, param, ctx)
+        if not math.isfinite(number):
+            self.fail(f"{value!r} is not a finite number", param, ctx)
+        return number
+
+
 _task = grouped("Task")
 _form = grouped("Form of the design")
 _solver = grouped("Solver and damping")
@@ -119,7 +133,7 @@ _output = grouped("Output")
 )
 @_solver(
     "--a",
-    type=click.FloatRange(min=0, min_open=True),
+    type=_Positive(),
     help="Curvature asked of ∇²V(z*).  [default: half of the plant's own; 0.5 with --paper]",
 )
 @_solver(
@@ -168,7 +182,7 @@ _output = grouped("Output")
 )
 @_output(
     "--sample-time",
-    type=click.FloatRange(min=0, min_open=True),
+    type=_Positive(),
     help="Sample time of the C controller, s.",
 )
 @_output("--debug", is_flag=True, help="Show IPOPT's iterations and tracebacks.")
@@ -249,7 +263,7 @@ def _design(model: Path, **options: Any) -> int:
     callback=_numbers,
     help="Controller state to start from.  [default: ξ*]",
 )
-@_task("--time", "horizon", type=click.FloatRange(min=0, min_open=True), help="Horizon, s.")
+@_task("--time", "horizon", type=_Positive(), help="Horizon, s.")
 @_output(
     "--points",
     type=click.IntRange(2, 1_000_000),

@@ -30,6 +30,7 @@ from necc_casadi.figures import (
 )
 from necc_casadi.model_file import Model, damping_matrix, load_model
 from necc_casadi.report import Findings, design_block
+from necc_casadi.sampling import check_model_at
 from necc_casadi.simulation import random_states, simulate
 from necc_casadi.synthesis import Options, design, paper_options
 from necc_casadi.target import free_coordinates, parse_target, target_from_model
@@ -77,6 +78,7 @@ def run_design(request: Request, say: Say) -> Findings:
     model = load_model(request.model, _parameters(request.param))
     options = _options(request, model)
     x_star = _target(model, request.target)
+    check_model_at(model.loop, x_star)
     say("finding Casimirs")
     casimirs = find_casimirs(model.loop, model.casimirs, x_star)
     say("judging the target")
