@@ -8,6 +8,8 @@ from necc_casadi.export.leaves import leaf
 from necc_casadi.export.source import Source
 from necc_casadi.export.templating import fill
 from necc_casadi.expressions import identifiers
+from necc_casadi.networks import Vector
+from necc_casadi.simulation import domain_box
 
 __all__ = ["demonstration"]
 
@@ -35,11 +37,7 @@ def demonstration(source: Source) -> str:
     )
 
 
-def _start(source: Source) -> list[float]:
-    """A quarter of the way from the target to the lower end of the domain."""
-    plant = source.design.loop.plant
-    start = []
-    for name, target in zip(plant.states, source.design.z_star, strict=False):
-        low = float(plant.domain[name][0]) if name in plant.domain else target - 2
-        start.append(float(target + (low - target) / 4))
-    return start
+def _start(source: Source) -> Vector:
+    """A quarter of the way from the target to the lower end of the domain, (n,)."""
+    lo, _ = domain_box(source.design)
+    return (0.75 * source.design.z_star + 0.25 * lo)[: source.n]
