@@ -254,6 +254,8 @@ def _solutions(search: Search, words: Sequence[sp.Expr]) -> list[sp.Expr]:
 
 def _normalised(c: sp.Expr, z: Sequence[sp.Symbol]) -> sp.Expr:
     """First linear term with coefficient 1, as in q − ξ; else primitive integer coefficients."""
+    if c.is_polynomial(*z):
+        c = sp.expand(c)
     content, part = c.primitive()
     c = sp.Add(*sp.Add.make_args(part)) if content != 0 else c
     terms = [t.as_coeff_Mul() for t in sp.Add.make_args(c)]
@@ -272,11 +274,15 @@ def _null_vectors(search: Search, words: Sequence[sp.Expr]) -> list[list[sp.Rati
     points = 13 * len(words) // (10 * per_point) + 6
     z = search.loop.z
     place = {s: i for i, s in enumerate(z)}
-    slopes = [(k, place[s], slope(w, s)) for k, w in enumerate(words) for s in w.free_symbols]
+    slopes = [(k, place[s], slope(w, s)) for k, w in enumerate(words) for s in _states(w)]
     used = {i for _, i, _ in slopes}
     entries = [(i, j, e) for j, column in enumerate(search.columns) for i, e in column if i in used]
     shape = (points, len(z), len(search.columns), len(words))
     return nullspace(lambda prime: _system(slopes, entries, shape, prime), _PRIMES_USED)
+
+
+def _states(word: sp.Expr) -> list[sp.Symbol]:
+    return sorted(word.free_symbols, key=str)
 
 
 def slope(word: sp.Expr, s: sp.Symbol) -> sp.Expr:

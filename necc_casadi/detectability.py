@@ -18,11 +18,13 @@ import numpy as np
 import sympy as sp
 
 from necc_casadi import exact as ex
+from necc_casadi.conditions import at, sparse_gradient, sparse_hessian
 from necc_casadi.loop import ClosedLoop
 from necc_casadi.specialise import (
     PRIMES,
     Residues,
     Unspecialised,
+    ball,
     null_basis,
     rational_rows,
     values,
@@ -30,6 +32,7 @@ from necc_casadi.specialise import (
 
 __all__ = ["reachable_stability"]
 
+_BITS = 1000
 _SMALL = 14  # states beyond which a state-dependent kernel is not computed
 
 
@@ -63,12 +66,12 @@ def reachable_stability(
             f"a {resting}-dimensional family of equilibria passes through the target, for every V: "
             "ker Jcl ∩ ker Rcl ∩ ker 𝒢ᵀ is not zero"
         )
-    at = _Linearisation(loop, functions, x_star, xi_star, lam)
+    at_target = _Linearisation(loop, functions, x_star, xi_star, lam)
     for seed, prime in enumerate(PRIMES):
         try:
-            if len(at.silent_part(prime, (seed,))) == 0:
+            if len(at_target.silent_part(prime, (seed,))) == 0 and at_target.confirmed(seed):
                 return "asymptotic", None
-            modes = at.silent_modes(prime)
+            modes = at_target.silent_modes(prime)
         except Unspecialised:
             continue  # a root that occurs does not exist modulo this prime
         if modes is None:
@@ -107,7 +110,7 @@ def _equilibrium_manifold(loop: ClosedLoop, z_star: Mapping[sp.Symbol, sp.Expr])
     generic = loop.n - ex.generic_rank(still)
     if generic == 0 or (free and loop.n > _SMALL):
         return 0
-    there = evaluated(still, z_star) if free else still
+    there = sp.Matrix(at(still, z_star)) if free else still
     if free and not ex.has_rank(there, loop.n - generic):
         return 0
     return generic if ex.kernel(still).cols == generic else 0
@@ -129,17 +132,14 @@ class _Linearisation:
     ) -> None:
         z_star = {**x_star, **dict(zip(loop.controller.xi, xi_star, strict=True))}
         self.n, self.plant_n = loop.n, loop.plant.n
-        self.J = evaluated(loop.J, z_star)
+        self.J = sp.Matrix(at(loop.J, z_star))
         inputs = sp.Matrix.hstack(sp.Matrix(loop.R), sp.Matrix(loop.ports))
-        self.inputs = evaluated(inputs, z_star)
-        gradients = [
-            [sp.diff(c, s) if s in c.free_symbols else sp.Integer(0) for s in loop.z]
-            for c in functions
-        ]
-        self.grad_c = evaluated(sp.Matrix(gradients).T, z_star) if functions else None
+        self.inputs = sp.Matrix(at(inputs, z_star))
+        gradients = [at(sparse_gradient(c, loop.z), z_star) for c in functions]
+        self.grad_c = sp.Matrix.hstack(*gradients) if gradients else None
         weighted = [w * c for w, c in zip(lam, functions, strict=True) if w != 0]
         energy = loop.plant.H + sp.Add(*weighted)
-        self.base = evaluated(hessian(energy, loop.z), z_star)
+        self.base = sp.Matrix(at(sparse_hessian(energy, loop.z), z_star))
 
     def hessian(self, seed: int) -> sp.Matrix:
         """A random ∇²V(z*) = ∇²(H + Σλc) + ∇c S ∇cᵀ + ∇²Hc with S and ∇²Hc large and rational."""
@@ -166,6 +166,22 @@ class _Linearisation:
             rows.append(_observability(J * P, B.transpose() * P, prime))
         return null_basis(np.concatenate(rows), prime)
 
+    def confirmed(self, seed: int) -> bool:
+        """Whether observability over GF(p) is proved for the real matrices of one P.
+
+        For rational entries full rank over GF(p) is a proof. For others GF(p) may miss a relation
+        between constants, so that Arb balls have to find n certain pivots.
+        """
+        matrices = (self.J, self.inputs, self.hessian(seed))
+        if all(e.is_Rational for matrix in matrices for e in matrix.todok().values()):
+            return True
+        previous, flint.ctx.prec = flint.ctx.prec, _BITS
+        try:
+            J, B, P = (_balls(matrix) for matrix in matrices)
+            return _certain_rank(J * P, B.transpose() * P) == self.n
+        finally:
+            flint.ctx.prec = previous
+
     def silent_modes(self, prime: int) -> sp.Matrix | None:
         """Plant directions of the motions that are silent for two random V, n × k, or None."""
         rows = rational_rows(self.silent_part(prime, (11, 12)), prime)
@@ -187,33 +203,43 @@ def _observability(A: Any, output: Any, prime: int) -> Residues:
         span, size = larger, rank
 
 
+def _balls(matrix: sp.Matrix) -> Any:
+    known: dict[sp.Expr, Any] = {}
+    return flint.arb_mat(matrix.rows, matrix.cols, [ball(e, known) for e in matrix])
+
+
+def _certain_rank(A: Any, output: Any) -> int:
+    """Number of rows output·Aᵏ that are certainly independent, by elimination with balls."""
+    basis: list[tuple[int, list[Any]]] = []
+    block = output.tolist()
+    while block:
+        fresh = []
+        for candidate in block:
+            row = _eliminated(candidate, basis)
+            sizes = [0.0 if e.contains(0) else float(abs(e).mid()) for e in row]
+            lead = int(np.argmax(sizes))
+            if sizes[lead] > 0:
+                row = [e / row[lead] for e in row]
+                basis.append((lead, row))
+                fresh.append(row)
+        block = (flint.arb_mat(fresh) * A).tolist() if fresh else []
+    return len(basis)
+
+
+def _eliminated(row: list[Any], basis: list[tuple[int, list[Any]]]) -> list[Any]:
+    for column, pivot_row in basis:
+        factor = row[column]
+        if not factor.is_zero():
+            row = [a - factor * b for a, b in zip(row, pivot_row, strict=True)]
+            row[column] = flint.arb(0)
+    return row
+
+
 def _reduced(matrix: Any, prime: int) -> tuple[Any, int]:
     """Nonzero rows of the reduced echelon form, and their number."""
     reduced, size = matrix.rref()
     rows = reduced.tolist()[:size]
     return flint.nmod_mat(size, matrix.ncols(), [int(v) for row in rows for v in row], prime), size
-
-
-def hessian(f: sp.Expr, variables: Sequence[sp.Symbol]) -> sp.Matrix:
-    """∇²f; only pairs of variables that occur together are differentiated."""
-    free = f.free_symbols
-    entries: dict[tuple[int, int], sp.Expr] = {}
-    for i, u in enumerate(variables):
-        if u in free:
-            slope = sp.diff(f, u)
-            for j, v in enumerate(variables):
-                if v in slope.free_symbols:
-                    entries[i, j] = sp.diff(slope, v)
-    return sp.Matrix(sp.SparseMatrix(len(variables), len(variables), entries))
-
-
-def evaluated(matrix: sp.MatrixBase, point: Mapping[sp.Symbol, sp.Expr]) -> sp.Matrix:
-    """`matrix` at a point."""
-    entries = {}
-    for place, entry in matrix.todok().items():
-        known = {s: point[s] for s in entry.free_symbols}
-        entries[place] = entry.subs(known) if known else entry
-    return sp.Matrix(sp.SparseMatrix(*matrix.shape, entries))
 
 
 def _random_positive(size: int, rng: random.Random) -> sp.Matrix:

@@ -95,6 +95,7 @@ def lyapunov_figure(design: Design) -> Figure:
     lines = flat.contour(A, B, values, levels=_levels(values), cmap="viridis")
     flat.clabel(lines, fontsize=7, fmt="%.2g")
     _mark_minima(design, flat, i, j)
+    flat.legend(loc="upper right", framealpha=0.9)
     flat.set_title("contours of V − V(z̄)", fontsize=10)
     return figure
 
@@ -110,13 +111,12 @@ def _slice(design: Design, i: int, j: int) -> tuple[Vector, Vector, Vector]:
 
 
 def _mark_minima(design: Design, axis: Axes, i: int, j: int) -> None:
-    """Target and minimum of V, axis labels, legend."""
+    """Target and minimum of V, axis labels."""
     star, bar = design.z_star, design.z_bar
     axis.plot(star[i], star[j], "o", ms=11, mfc="none", mew=2, color=_TARGET, label="target z*")
     axis.plot(bar[i], bar[j], "+", ms=11, mew=2, color=_MINIMUM, label="minimum z̄ of V")
     axis.set_xlabel(_label(design, i))
     axis.set_ylabel(_label(design, j))
-    axis.legend(loc="upper right", framealpha=0.9)
 
 
 def region_boundary(design: Design, level: float, count: int = 12) -> list[Vector]:
@@ -136,10 +136,11 @@ def _around_minimum(design: Design, level: float, i: int, j: int) -> Vector | No
 
     A, B, values = _slice(design, i, j)
     lines = Figure().add_subplot().contour(A, B, values, levels=[level - design.V(design.z_bar)])
-    for curve in lines.get_paths()[0]._iter_connected_components():
-        if Curve(curve.vertices).contains_point(design.z_bar[[i, j]]):
-            vertices: Vector = curve.vertices
-            return vertices
+    for segment in lines.allsegs[0]:
+        curve = np.asarray(segment, float)
+        closed = len(curve) > 3 and np.array_equal(curve[0], curve[-1])
+        if closed and Curve(curve).contains_point((design.z_bar[i], design.z_bar[j])):
+            return curve
     return None
 
 
@@ -160,6 +161,7 @@ def region_figure(design: Design, level: float, responses: Sequence[Trajectory])
         axis.plot(response.z[:, i], response.z[:, j], lw=0.9, color=_INK, label=label)
         axis.plot(response.z[0, i], response.z[0, j], ".", color=_INK)
     _mark_minima(design, axis, i, j)
+    figure.legend(loc="outside lower center", ncols=2, fontsize=8)
     axis.set_title(f"{design.loop.plant.name}: proved region at ξ = ξ*", fontsize=11)
     return figure
 

@@ -5,17 +5,18 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
-import casadi as ca
 import numpy as np
 import sympy as sp
 
 from necc_casadi.artifact import Design
 from necc_casadi.assignability import Verdict
 from necc_casadi.casimirs import Casimirs
+from necc_casadi.convexity import least_kappa
+from necc_casadi.damping import choose_damping
 from necc_casadi.learned import casimir_penalty, casimir_residual, state_inputs
 from necc_casadi.lifting import Scales
 from necc_casadi.loop import ClosedLoop
-from necc_casadi.lyapunov import Form, LyapunovFunction, Terms, make_terms
+from necc_casadi.lyapunov import Form, LyapunovFunction, make_terms
 from necc_casadi.networks import KAPPA_MIN, MonotonePhi, Network, Vector
 from necc_casadi.outcome import Start
 from necc_casadi.training import train
@@ -120,14 +121,14 @@ def design(
         seed=options.seed,
         starts=options.starts,
         xi_guess=guess,
-        kappa_min=_least_kappa(terms, scales, verdict, x, guess) if options.convex else KAPPA_MIN,
+        kappa_min=least_kappa(terms, scales, verdict, x, guess) if options.convex else KAPPA_MIN,
         penalty=penalty,
         report=report,
         verbose=options.verbose,
     )
     z_star = np.concatenate([x, solution.xi_star])
     undamped = LyapunovFunction(terms, form, solution.weights, np.eye(terms.m), np.eye(terms.m))
-    D, Dc = _damping(undamped, loop, z_star, options)
+    D, Dc = choose_damping(undamped, loop, z_star, options.D, options.Dc)
     made = Design(
         loop=loop,
         casimirs=casimirs,
@@ -200,118 +201,3 @@ def _default_a(scales: Scales, verdict: Verdict) -> float:
     if verdict.a_max is not None:
         a = min(a, 0.5 * verdict.a_max)
     return float(f"{a:.3g}")
-
-
-# --- convexity -----------------------------------------------------------------------------------
-
-_CONVEX_SAMPLES = 400
-#: Least eigenvalue, relative to the reference stiffness, that quadratic parts alone must reach
-#: at every sample: what is left for the networks to take away.
-_CONVEX_MARGIN = 0.15
-_STIFFEST = 1e4
-
-
-def _least_kappa(
-    terms: Terms, scales: Scales, verdict: Verdict, x_star: Vector, xi_star: Vector
-) -> float:
-    """The least κ, in natural units, for which quadratic parts alone make V convex at samples.
-
-    The samples fill twice the natural domain, whole turns of an angle included. A certificate,
-    not this search, says whether V is convex everywhere. Where no stiffness helps (H curves
-    downwards somewhere along an invisible direction) the default bound is returned.
-    """
-    lowest = _lowest_curvature(terms, scales, verdict, np.concatenate([x_star, xi_star]))
-    upper = 1.0
-    while lowest(upper) < _CONVEX_MARGIN:
-        upper *= 2
-        if upper > _STIFFEST:
-            return KAPPA_MIN
-    lower = 0.0 if upper == 1.0 else upper / 2
-    for _ in range(20):
-        middle = (lower + upper) / 2
-        lower, upper = (lower, middle) if lowest(middle) >= _CONVEX_MARGIN else (middle, upper)
-    return upper
-
-
-def _lowest_curvature(
-    terms: Terms, scales: Scales, verdict: Verdict, z_star: Vector
-) -> Callable[[float], float]:
-    """κ ↦ least eigenvalue of ∇²V over the samples, V = H + λᵀc + ½κ(‖ξ‖² + ‖c − c*‖²) scaled."""
-    n = terms.n
-    z, kappa = ca.MX.sym("z", len(z_star)), ca.MX.sym("kappa")
-    c, c_star = terms.c(z), np.asarray(terms.c(z_star), float)
-    slope = ca.Function("dc", [z], [ca.jacobian(c, z)])
-    reach = (np.abs(np.asarray(slope(z_star), float)) * scales.state).max(axis=1, initial=0.0)
-    reach[reach == 0] = 1.0
-    lam = np.zeros(terms.r)
-    if verdict.lam is not None and len(verdict.lam) == terms.r:
-        lam = np.array([float(sp.N(v)) for v in verdict.lam])
-    stretch = ca.sumsqr(z[n:] / scales.state[n:]) + ca.sumsqr((c - c_star) / reach)
-    V = terms.H(z[:n]) + ca.dot(lam, c) + kappa * scales.energy / 2 * stretch
-    hessian = ca.Function("hessian", [z, kappa], [ca.hessian(V, z)[0]])
-    offsets = np.random.default_rng(0).uniform(-4, 4, (_CONVEX_SAMPLES, len(z_star)))
-    samples = z_star + offsets * scales.state
-
-    def lowest(value: float) -> float:
-        all_hessians = np.asarray(hessian.map(len(samples))(samples.T, value), float)
-        blocks = all_hessians.reshape(len(z_star), len(samples), len(z_star)).swapaxes(0, 1)
-        relative = blocks * np.outer(scales.state, scales.state) / scales.energy
-        finite = relative[np.isfinite(relative).all(axis=(1, 2))]
-        return float(np.linalg.eigvalsh(finite).min())
-
-    return lowest
-
-
-# --- damping -------------------------------------------------------------------------------------
-
-#: Of the dampings within this share of the best decay rate, the smallest is taken.
-_NEAR_BEST = 0.9
-
-
-def _damping(
-    V: LyapunovFunction, loop: ClosedLoop, z_star: Vector, options: Options
-) -> tuple[Vector, Vector]:
-    """D and Dc as given; what is not given maximises the decay rate of the linearised loop.
-
-    Too much damping slows the loop down as much as too little, so the rate is searched over
-    multiples of a natural damping, and of those near the best the smallest is taken: it costs
-    the least input and amplifies the least noise. The yes or no of stability does not depend
-    on the choice.
-    """
-    m = V.terms.m
-    given_D, given_Dc = options.D, options.Dc
-    if given_D is not None and given_Dc is not None:
-        return given_D, given_Dc
-    hessian = np.asarray(V.hessian(z_star), float)
-    M = np.asarray(V.terms.M(z_star), float) / float(V.phi_slope(z_star))
-    ports = np.array(loop.ports.subs(dict(zip(loop.z, z_star, strict=True))).evalf(), float)
-    natural = _natural_damping(M, hessian, ports)
-    steps = np.logspace(-2, 2, 33 if len(z_star) <= 12 else 9)
-    candidates = []
-    for d in steps if given_D is None else [1.0]:
-        for dc in steps if given_Dc is None else [1.0]:
-            D = np.diag(d * natural[:m]) if given_D is None else given_D
-            Dc = np.diag(dc * natural[m:]) if given_Dc is None else given_Dc
-            damping = np.block([[D, np.zeros((m, m))], [np.zeros((m, m)), Dc]])
-            A = (M - ports @ damping @ ports.T) @ hessian
-            candidates.append((-np.linalg.eigvals(A).real.max(), d, dc, D, Dc))
-    best = max(c[0] for c in candidates)
-    threshold = _NEAR_BEST * best if best > 0 else best
-    _, _, _, D, Dc = min(
-        (c for c in candidates if c[0] >= threshold), key=lambda c: c[1] ** 2 * c[2]
-    )
-    return _rounded(D), _rounded(Dc)
-
-
-def _rounded(D: Vector) -> Vector:
-    """Three digits: a damping gain that an engineer can read."""
-    return np.array([[float(f"{v:.3g}") for v in row] for row in D])
-
-
-def _natural_damping(M: Vector, hessian: Vector, ports: Vector) -> Vector:
-    """Damping of each port at which its rate equals the loop's natural frequency, (2m,)."""
-    frequencies = np.abs(np.linalg.eigvals(M @ hessian))
-    significant = frequencies[frequencies > 1e-6 * max(frequencies.max(), 1e-300)]
-    omega = float(np.median(significant)) if significant.size else 1.0
-    rates = np.einsum("ij,ik,kj->j", ports, hessian, ports)
-    return omega / np.where(rates > 0, rates, 1.0)

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
 
 import sympy as sp
 
 from necc_casadi import exact as ex
 from necc_casadi.casimirs import Casimirs
+from necc_casadi.conditions import Local, TargetData
 from necc_casadi.loop import ClosedLoop
-
-if TYPE_CHECKING:
-    from necc_casadi.assignability import Local, TargetData
 
 __all__ = ["direction_name", "explain"]
 
@@ -170,18 +167,25 @@ def _dissipation_obstacle(
     n = loop.plant.n
     for k in range(lossless.cols):
         v = lossless[:, k]
-        if ex.is_zero((v[:n, :].T * w)[0]) is False:
-            lost = sp.Matrix(R) * v
-            for i in range(loop.n):
-                if ex.is_zero(lost[i]) is False:
-                    j = next(j for j in range(loop.n) if R[i, j] != 0 and v[j] != 0)
-                    label = "R" if i < n else "Rc"
-                    a, b = (i, j) if i < n else (i - n, j - n)
-                    return (
-                        f"Dissipation obstacle: {label}[{a},{b}] = {short(loop.R[i, j])} "
-                        f"dissipates in {loop.z[j]}, which would have to be shaped. Remove that dissipation "
-                        "from the shaped coordinate, or choose a target at which it is at rest."
-                    )
+        place = _dissipating_entry(sp.Matrix(R), v)
+        if place is None or ex.is_zero((v[:n, :].T * w)[0]) is not False:
+            continue
+        i, j = place
+        label = f"R[{i},{j}]" if i < n else f"Rc[{i - n},{j - n}]"
+        return (
+            f"Dissipation obstacle: {label} = {short(loop.R[i, j])} dissipates in {loop.z[j]}, "
+            "which would have to be shaped. Remove that dissipation from the shaped coordinate, "
+            "or choose a target at which it is at rest."
+        )
+    return None
+
+
+def _dissipating_entry(R: sp.Matrix, v: sp.MatrixBase) -> tuple[int, int] | None:
+    """An entry of R through which Rv ≠ 0."""
+    lost = R * v
+    for i in range(R.rows):
+        if ex.is_zero(lost[i]) is False:
+            return i, next(j for j in range(R.cols) if R[i, j] != 0 and v[j] != 0)
     return None
 
 

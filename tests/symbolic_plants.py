@@ -80,6 +80,21 @@ def transformed(plant, T):
     )
 
 
+def curved(plant, y, forward):
+    """The plant in coordinates y with x = forward(y), a curved change."""
+    T = sp.Matrix(forward).jacobian(y)
+    inverse = T.inv().applyfunc(sp.cancel)
+    back = dict(zip(plant.x, forward, strict=True))
+    J, R, G = (sp.Matrix(A).subs(back, simultaneous=True) for A in (plant.J, plant.R, plant.G))
+    return make_plant(
+        y,
+        (inverse * J * inverse.T).applyfunc(sp.expand),
+        (inverse * R * inverse.T).applyfunc(sp.expand),
+        (inverse * G).applyfunc(sp.expand),
+        plant.H.subs(back, simultaneous=True),
+    )
+
+
 def numeric(matrix):
     return np.array(sp.Matrix(matrix).evalf(20).tolist(), dtype=float)
 

@@ -9,6 +9,7 @@ from symbolic_plants import (
     best_hessian_eigenvalue,
     body_and_wheel,
     canonical,
+    curved,
     load,
     numeric,
     predator_prey,
@@ -21,7 +22,7 @@ from necc_casadi.assignability import judge
 from necc_casadi.casimirs import Casimirs, find_casimirs
 from necc_casadi.loop import default_controller, interconnect, make_controller
 from necc_casadi.plant import make_plant
-from necc_casadi.structures import complete_controller, suggest_controllers
+from necc_casadi.structures import complete_controller, kinematic_copy, suggest_controllers
 
 
 def default_loop(plant):
@@ -106,6 +107,33 @@ def test_nonlinear_coordinates_of_the_cart_pole(angle, expected):
     x_star = T.inv() * sp.Matrix([1, sp.sympify(angle), 0, 0])
     verdict = verdict_of(default_loop(other), list(x_star))
     assert verdict.assignable is expected
+
+
+@pytest.mark.parametrize(
+    ("name", "curve", "target", "reason"),
+    [
+        ("pendulum", lambda y: (y[0] + y[1] ** 2, y[1]), (1, 0), "ok"),
+        ("pendulum", lambda y: (y[0] + y[0] ** 3, y[1]), (1, 0), "ok"),
+        ("pendulum", lambda y: (sp.sinh(y[0]), y[1]), (1, 0), "ok"),
+        ("parallel_rlc", lambda y: (y[0] + y[1] ** 2, y[1]), ("3/4", "1/2"), "invisible_gradient"),
+        (
+            "cart_pole",
+            lambda y: (y[0] + y[1] ** 2, y[1], y[2], y[3] + y[0] * y[2]),
+            (1, 0, 0, 0),
+            "invisible_negative_curvature",
+        ),
+        ("cart_pole", lambda y: (y[0] + y[1] ** 2, *y[1:]), (1, sp.pi, 0, 0), "ok"),
+    ],
+)
+def test_verdict_does_not_depend_on_curved_coordinates(name, curve, target, reason):
+    """J, R and G become functions of the state, the Casimirs nonlinear, the verdict stays."""
+    plant, _, _ = load(name)
+    y = sp.symbols(f"y1:{plant.n + 1}", real=True)
+    other = curved(plant, y, curve(y))
+    loop = default_loop(other)
+    casimirs, verdict = judged(loop, dict(zip(y, map(sp.sympify, target), strict=True)))
+    assert casimirs.complete
+    assert verdict.reason == reason
 
 
 @pytest.mark.parametrize(
@@ -242,6 +270,22 @@ def test_stability_that_the_structure_can_reach(name, target, stability):
     verdict = verdict_of(load(name)[1], target)
     assert verdict.stability == stability
     assert (verdict.witness is None) == (stability == "asymptotic")
+
+
+def test_a_refusal_that_holds_for_every_xi():
+    """The copied unicycle sees x, y and θ; an oscillator beside it stays invisible."""
+    x, y, theta, a, b, v, w = sp.symbols("x y theta a b v w", real=True)
+    J = sp.zeros(7, 7)
+    J[0, 5], J[1, 5], J[2, 6], J[3, 4] = sp.cos(theta), sp.sin(theta), 1, 1
+    G = sp.Matrix.vstack(sp.zeros(5, 2), sp.eye(2))
+    H = (v**2 + w**2 + x**2 + y**2) / 2
+    for sign, reason in ((1, "ok"), (-1, "invisible_negative_curvature")):
+        energy = H + sign * (a**2 + b**2)
+        plant = make_plant((x, y, theta, a, b, v, w), J - J.T, sp.zeros(7, 7), G, energy)
+        loop = interconnect(plant, kinematic_copy(plant))
+        verdict = verdict_of(loop, (1, 0, sp.pi / 2, 0, 0, 0, 0))
+        assert verdict.reason == reason
+        assert (verdict.xi_star is None) == (reason != "ok")
 
 
 def test_copied_coin_rests_anywhere():
