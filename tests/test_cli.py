@@ -86,7 +86,7 @@ def made(tmp_path_factory):
     return folder, process(DESIGN, PENDULUM, "--target", "pi/4", cwd=folder)
 
 
-# --- the main job ----------------------------------------------------------------------------------
+# --- the main job --------------------------------------------------------------------------------
 
 
 def test_the_main_job_prints_a_summary_and_nothing_else(made):
@@ -154,7 +154,9 @@ def test_json_is_one_object_with_every_key(tmp_path):
 
 
 def test_check_judges_and_writes_nothing(tmp_path):
-    code, out, _ = design(PENDULUM, "--target", "pi/4", "--check", "--json", "--out", tmp_path / "o")
+    code, out, _ = design(
+        PENDULUM, "--target", "pi/4", "--check", "--json", "--out", tmp_path / "o"
+    )
     data = json.loads(out)
     assert (code, data["status"]) == (0, "assignable")
     assert set(data) >= BLOCKS
@@ -171,8 +173,8 @@ def test_a_negative_target_needs_no_quoting(tmp_path):
 
 
 def test_a_refusal_is_exit_3_with_the_reason(tmp_path):
-    code, out, _ = design(model(tmp_path, "R = sp.diag(1, 0)"), "--target", "pi/4", "--json",
-                          "--out", tmp_path / "o")  # fmt: skip
+    path = model(tmp_path, "R = sp.diag(1, 0)")  # dissipation in the coordinate to be shaped
+    code, out, _ = design(path, "--target", "q=pi/4", "--json", "--out", tmp_path / "o")
     data = json.loads(out)
     assert (code, data["status"]) == (3, "refused")
     assert data["verdict"]["assignable"] is False
@@ -209,7 +211,7 @@ def test_parameters_from_the_command_line(tmp_path):
         check_refusal(result, "param")
 
 
-# --- bad input -------------------------------------------------------------------------------------
+# --- bad input -----------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -296,7 +298,7 @@ def test_no_target_text_is_an_internal_fault(text):
                             data["error"]["code"])  # fmt: skip
 
 
-# --- folders ---------------------------------------------------------------------------------------
+# --- folders -------------------------------------------------------------------------------------
 
 
 def test_an_output_folder_that_cannot_be_made(tmp_path):
@@ -318,7 +320,7 @@ def test_a_file_that_cannot_be_replaced(tmp_path, name):
     result = design(PENDULUM, "--target", "pi/4", "--json", "--no-plots", "--out", tmp_path)
     check_refusal(result, "output", Path(name).name)
     assert (tmp_path / name / "inside").is_dir()
-    assert not [path for path in tmp_path.rglob(".*")]
+    assert not list(tmp_path.rglob(".*"))
 
 
 def test_designing_twice_replaces_the_files_and_changes_nothing_else(tmp_path):
@@ -328,10 +330,10 @@ def test_designing_twice_replaces_the_files_and_changes_nothing_else(tmp_path):
         assert code == 0, err
         (tmp_path / "c" / "mine.c").write_text("mine")
     assert (tmp_path / "c" / "mine.c").read_text() == "mine"
-    assert not [path for path in tmp_path.rglob(".*")]
+    assert not list(tmp_path.rglob(".*"))
 
 
-# --- interruption ----------------------------------------------------------------------------------
+# --- interruption --------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("delay", [0.3, 2.0, 3.5])
@@ -351,10 +353,10 @@ def test_interrupting_leaves_nothing_half_written(tmp_path, delay):
     assert out == ""
     for path in tmp_path.rglob("*.json"):
         json.loads(path.read_text())
-    assert not [path for path in tmp_path.rglob(".*")]
+    assert not list(tmp_path.rglob(".*"))
 
 
-# --- necc-simulate ---------------------------------------------------------------------------------
+# --- necc-simulate -------------------------------------------------------------------------------
 
 
 def test_simulate_as_a_process(made, tmp_path):
@@ -407,7 +409,7 @@ def test_a_response_that_diverges_is_an_outcome(made):
     json.loads(out, parse_constant=lambda word: pytest.fail(f"{word} is not JSON"))
 
 
-# --- help ------------------------------------------------------------------------------------------
+# --- help ----------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(("code", "name"), [(DESIGN, "necc-design"), (SIMULATE, "necc-simulate")])
@@ -423,9 +425,29 @@ def test_help_and_version(code, name, tmp_path):
 
 def test_every_option_of_the_contract_is_in_help():
     _, out, _ = design("--help")
-    for option in ("target", "check", "json", "out", "paper", "hidden-k", "hidden-h", "activation",
-                   "casimir-form", "phi", "a", "seed", "starts", "param", "damping",
-                   "controller-damping", "no-plots", "sweep-a", "sample-time", "real", "debug"):
+    for option in (
+        "target",
+        "check",
+        "json",
+        "out",
+        "paper",
+        "hidden-k",
+        "hidden-h",
+        "activation",
+        "casimir-form",
+        "phi",
+        "a",
+        "seed",
+        "starts",
+        "param",
+        "damping",
+        "controller-damping",
+        "no-plots",
+        "sweep-a",
+        "sample-time",
+        "real",
+        "debug",
+    ):
         assert f"--{option}" in out  # fmt: skip
 
 
