@@ -24,7 +24,8 @@ def test_the_published_form(paper_design):
     form = paper_design.form
     assert (form.k.hidden, form.hc.hidden) == ((64,), (32,))
     assert {form.k.activation, form.hc.activation} == {"tanh"}
-    assert not (form.k.quadratic or form.hc.quadratic)
+    assert not form.k.quadratic
+    assert not form.hc.quadratic
     assert form.size == 290 + sum(beta.size for beta in form.betas)
     assert form.phi is None
     assert (paper_design.a, paper_design.D[0, 0], paper_design.Dc[0, 0]) == (0.5, 5.0, 6.0)
