@@ -102,7 +102,11 @@ EXPRESSIONS = [
 
 @pytest.mark.parametrize("expr", EXPRESSIONS)
 @settings(max_examples=25, deadline=None)
-@given(center=st.tuples(*[st.integers(-64, 64)] * 2), radius=st.integers(0, 20), seed=st.integers(0, 99))
+@given(
+    center=st.tuples(*[st.integers(-64, 64)] * 2),
+    radius=st.integers(0, 20),
+    seed=st.integers(0, 99),
+)
 def test_jets_enclose_symbolic_derivatives(expr, center, radius, seed):
     middle, radius = np.array(center) / 64, radius / 64
     Z = Interval(middle[None] - radius, middle[None] + radius)
