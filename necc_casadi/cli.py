@@ -288,6 +288,10 @@ def _simulate(out: Path, **options: Any) -> int:
       necc-simulate pendulum-design --x0 0,0
       necc-simulate pendulum-design --x0 -1,0.5 --time 20 --csv response.csv
     """
+    if options["as_json"] and str(options["csv"]) == "-":
+        raise OptionError(
+            "usage", "--csv - and --json both want stdout", "Name a file: --csv response.csv."
+        )
     from necc_casadi.artifact import Design, write_text
     from necc_casadi.simulation import domain_box, simulate
 
@@ -320,14 +324,17 @@ def _simulate(out: Path, **options: Any) -> int:
     return 0 if response.complete else 4
 
 
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None
+
+
 def _response_json(made: Design, response: Trajectory) -> dict[str, Any]:
-    settling = response.settling_time
     return {
         "states": list(made.loop.states),
         "t_end": float(response.t[-1]),
-        "z_end": response.z[-1].tolist(),
-        "settling_time": settling if math.isfinite(settling) else None,
-        "peak_input": response.peak_input,
+        "z_end": [_finite(float(v)) for v in response.z[-1]],
+        "settling_time": _finite(response.settling_time),
+        "peak_input": _finite(response.peak_input),
         "complete": response.complete,
     }
 

@@ -33,7 +33,12 @@ from necc_casadi.report import Findings, design_block
 from necc_casadi.sampling import check_model_at
 from necc_casadi.simulation import random_states, simulate
 from necc_casadi.synthesis import Options, design, paper_options
-from necc_casadi.target import free_coordinates, parse_target, target_from_model
+from necc_casadi.target import (
+    free_coordinates,
+    nearest_equilibrium,
+    parse_target,
+    target_from_model,
+)
 
 __all__ = ["Request", "run_design"]
 
@@ -84,6 +89,8 @@ def run_design(request: Request, say: Say) -> Findings:
     say("judging the target")
     verdict = judge(model.loop, casimirs, x_star)
     found = Findings(model.loop, x_star, casimirs, verdict, notes=_notes(model, casimirs))
+    if verdict.reason == "not_an_equilibrium":
+        found.notes += _nearest(model, x_star)
     found.timings["symbolic"] = time.perf_counter() - began
     learning = options.learn_casimir and verdict.assignable is not False
     if (verdict.assignable or learning) and not request.check:
@@ -232,6 +239,16 @@ def _parameters(texts: Sequence[str]) -> dict[str, str]:
             raise OptionError("param", f"--param {text} is not NAME=VALUE", "Write --param k=4.")
         result[name.strip()] = value
     return result
+
+
+def _nearest(model: Model, x_star: dict[sp.Symbol, sp.Expr]) -> list[str]:
+    """An equilibrium near a target that is none."""
+    plant = model.loop.plant
+    nearest = nearest_equilibrium(plant, x_star)
+    if nearest is None:
+        return []
+    values = ",".join(f"{s}={v:.6g}" for s, v in zip(plant.states, nearest, strict=True))
+    return [f"the nearest equilibrium that was found: {values}"]
 
 
 def _target(model: Model, text: str | None) -> dict[sp.Symbol, sp.Expr]:

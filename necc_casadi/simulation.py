@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from necc_casadi.artifact import Design
+from necc_casadi.interrupts import interruptible
 from necc_casadi.networks import Vector
 
 __all__ = ["Trajectory", "default_horizon", "random_states", "simulate"]
@@ -36,7 +37,11 @@ class Trajectory:
     @property
     def settling_time(self) -> float:
         """Time after which ‖z − z̄‖ stays within 2 % of its initial value, s; inf if never."""
-        distance = np.linalg.norm(self.z - self.z_bar, axis=1)
+        away = self.z - self.z_bar
+        if not np.all(np.isfinite(away)):
+            return float("inf")
+        size = float(np.abs(away).max()) or 1.0  # so that squares of huge states do not overflow
+        distance = np.linalg.norm(away / size, axis=1)
         outside = np.flatnonzero(distance > SETTLED * distance[0])
         if outside.size == 0:
             return 0.0
@@ -128,7 +133,8 @@ def simulate(
         "response", "cvodes", {"x": z, "ode": V.vector_field(z)}, 0.0, list(grid[1:]), options
     )
     try:
-        states = np.column_stack([z0, np.asarray(integrator(x0=z0)["xf"], float)]).T
+        with interruptible():
+            states = np.column_stack([z0, np.asarray(integrator(x0=z0)["xf"], float)]).T
         complete = bool(np.all(np.isfinite(states)))
     except RuntimeError:  # the integrator's way to say that it cannot go on
         states, complete = z0[None, :], False

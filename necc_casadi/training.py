@@ -32,6 +32,7 @@ from itertools import pairwise
 import casadi as ca
 import numpy as np
 
+from necc_casadi.interrupts import interruptible
 from necc_casadi.lifting import Lifting, Scales
 from necc_casadi.lyapunov import Form, Terms
 from necc_casadi.networks import KAPPA_MIN, Vector
@@ -357,14 +358,15 @@ class _Solver:
         w0 = lifting.centred(w0, xi0, self.kappa_min)
         small = lifting.small_at(w0, xi0)
         began = time.perf_counter()
-        result = self.solver(
-            x0=np.concatenate([small, self.program.initial(small), w0]),
-            p=np.concatenate([xi0, w0]),
-            lbx=self.lower,
-            ubx=np.inf,
-            lbg=0,
-            ubg=self.g_upper,
-        )
+        with interruptible():
+            result = self.solver(
+                x0=np.concatenate([small, self.program.initial(small), w0]),
+                p=np.concatenate([xi0, w0]),
+                lbx=self.lower,
+                ubx=np.inf,
+                lbg=0,
+                ubg=self.g_upper,
+            )
         seconds = time.perf_counter() - began
         solution = np.asarray(result["x"], float).ravel()
         weights = lifting.sigma * solution[self.n_small :] + lifting.tau

@@ -18,7 +18,7 @@ from necc_casadi.networks import Vector
 __all__ = ["Equilibrium", "prove_equilibrium"]
 
 #: Radii that are tried, in the order of preference: the largest one that can be proved is kept.
-_RADII = 2.0 * 1.5 ** -np.arange(36.0)
+_RADII = 2.0 ** -np.arange(-1.0, 17.0)
 #: μ is this share of the smallest eigenvalue at z*, the first that can be proved.
 _SHARES = (0.5, 0.25, 0.05)
 
@@ -80,7 +80,7 @@ def _largest_ball(
     """(r, μ) with ∇²V ⪰ μI on the cube z* ± r, which holds the ball, and g < μr."""
     r = _RADII[:, None]
     cubes = Interval(np.nextafter(z_star.lo - r, -np.inf), np.nextafter(z_star.hi + r, np.inf))
-    hess = potential.jet(cubes).hess
+    hess = potential.lower_hessian(cubes)
     for share in _SHARES:
         mu = share * lowest
         holds = positive_definite(hess, mu) & (gradient_norm < np.nextafter(mu * _RADII, 0))
