@@ -10,7 +10,7 @@
 #include <string.h>
 #include <time.h>
 
-#define CALLS 100
+#define CALLS 500
 
 typedef void controller(const double *x, const double *xi, double *u, double *xidot);
 
@@ -40,7 +40,7 @@ int main(int argc, char **argv)
             const double began = seconds();
             sum[i] = 0;
             for (int call = 0; call < CALLS; ++call) {
-                x[0] = 0.01 * call;
+                x[0] = 0.002 * call;
                 run[i](x, xi, u, xidot);
                 sum[i] += u[0] + xidot[0];
             }
