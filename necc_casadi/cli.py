@@ -1,10 +1,11 @@
-"""The commands ``necc-design`` and ``necc-simulate``: arguments in, text and exit codes out."""
+"""The commands necc-design, necc-certify, necc-simulate: arguments in, text and exit codes out."""
 
 from __future__ import annotations
 
 import json
 import math
 import sys
+import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,7 +19,7 @@ if TYPE_CHECKING:  # heavy packages are imported where they are used: --help sta
     from necc_casadi.artifact import Design
     from necc_casadi.simulation import Trajectory
 
-__all__ = ["design_command", "simulate_command"]
+__all__ = ["certify_command", "design_command", "simulate_command"]
 
 _WIDEST, _DEEPEST, _MOST_SWEPT = 1024, 8, 1000
 
@@ -371,9 +372,48 @@ def _response_text(made: Design, response: Trajectory) -> str:
     )
 
 
+@click.command("necc-certify", cls=GroupedCommand)
+@click.argument("out", type=click.Path(path_type=Path))
+@_output("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
+@_output("--debug", is_flag=True, help="Show tracebacks.")
+@click.version_option(__version__, prog_name="necc-certify")
+def _certify(out: Path, **options: Any) -> int:
+    r"""Prove again, with other arithmetic, what OUT/certificate.json claims about OUT/design.json.
+
+    \b
+    Exit codes:
+      0  every claim holds
+      2  OUT cannot be read
+      4  a claim does not hold
+    """
+    progress = Progress()
+    with progress.shown():
+        from necc_casadi.certificate.checker import check
+
+        progress.say("checking the certificate")
+        began = time.perf_counter()
+        results = check(out)
+        seconds = time.perf_counter() - began
+    holds = all(result.holds for result in results)
+    if options["as_json"]:
+        status = "certified" if holds else "fell_short"
+        claims = [vars(result) for result in results]
+        click.echo(json.dumps({"status": status, "claims": claims, "seconds": seconds}))
+    else:
+        for result in results:
+            mark = "holds" if result.holds else "DOES NOT HOLD"
+            click.echo(f"{result.name:12} {mark:14} {result.statement}")
+    return 0 if holds else 4
+
+
 def design_command() -> None:
     """Entry point of ``necc-design``."""
     sys.exit(run(_design))
+
+
+def certify_command() -> None:
+    """Entry point of ``necc-certify``."""
+    sys.exit(run(_certify))
 
 
 def simulate_command() -> None:

@@ -67,7 +67,9 @@ class Plant:
         """G⊥(J − R)∇H, the residuals that no constant input can cancel; zero ones dropped."""
         annihilator = ex.kernel(sp.Matrix(self.G.T)).T
         residual = annihilator * ((self.J - self.R) * self.grad_H)
-        equations = (sp.numer(sp.together(sp.simplify(row))) for row in residual)
+        # simplify() is slow, and polynomials do not need it
+        tidied = (sp.expand(row) if row.is_polynomial() else sp.simplify(row) for row in residual)
+        equations = (sp.numer(sp.together(row)) for row in tidied)
         return tuple(row for row in equations if row != 0)
 
     def holding_input(self, x_star: Mapping[sp.Symbol, sp.Expr]) -> sp.Matrix:
