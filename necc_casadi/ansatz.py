@@ -323,23 +323,21 @@ def _adopt(
     search: Search, forms: Forms, wanted: int, candidates: Sequence[sp.Expr], origin: str
 ) -> None:
     """Take candidates that are new and proved: finite and regular at the target first."""
-    ordered = sorted(
-        enumerate(candidates),
-        key=lambda t: (search.has_pole(t[1]), len(sp.Add.make_args(t[1])), t[0]),
-    )
-    if origin == "constant kernel":
-        ordered = list(enumerate(candidates))
+    known = [f for f, _ in forms]
+    new: list[sp.Expr] = []
+    for c in sorted(candidates, key=lambda c: len(sp.Add.make_args(c))):
+        if len(new) < _MOST_PROOFS and independent(known, c, search.loop.z):
+            new.append(c)
+    ordered = sorted(new, key=search.has_pole)
     for regular_only in (True, False):
-        tried = 0
-        for _, c in ordered:
-            if len(forms) >= wanted or tried >= _MOST_PROOFS:
-                break
+        for c in ordered:
+            if len(forms) >= wanted:
+                return
             if regular_only and not _regular(search, [*[f for f, _ in forms], c]):
                 continue
-            if independent([f for f, _ in forms], c, search.loop.z):
-                tried += 1
-                if all(ex.is_zero(rate) is True for rate in rates(c, search.loop)):
-                    forms.append((c, origin))
+            new_one = independent([f for f, _ in forms], c, search.loop.z)
+            if new_one and all(ex.is_zero(rate) is True for rate in rates(c, search.loop)):
+                forms.append((c, origin))
 
 
 def _regular(search: Search, functions: Sequence[sp.Expr]) -> bool:

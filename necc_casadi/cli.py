@@ -131,6 +131,11 @@ _output = grouped("Output")
     type=click.Choice(["sum", "neural"]),
     help="Φ = H + Hc + C, or a network with Φ₁ > 0 by construction.  [default: sum]",
 )
+@_form(
+    "--structure",
+    metavar="NAME",
+    help="A controller structure that the tool offered in a note, e.g. resonator.",
+)
 @_solver(
     "--a",
     type=_Positive(),
@@ -180,6 +185,15 @@ _output = grouped("Output")
     show_default=True,
     help="Number type of the C controller.",
 )
+@_output(
+    "--integrator",
+    type=click.Choice(["heun", "euler", "rk4"]),
+    default="heun",
+    show_default=True,
+    help="How the C controller advances its state over a sample.",
+)
+@_output("--fmu", is_flag=True, help="Also an FMI 2.0 co-simulation unit.")
+@_output("--mex", is_flag=True, help="Also a MEX source for MATLAB.")
 @_output(
     "--sample-time",
     type=_Positive(),
@@ -232,6 +246,10 @@ def _design(model: Path, **options: Any) -> int:
             "sweep_a",
             "real",
             "sample_time",
+            "structure",
+            "integrator",
+            "fmu",
+            "mex",
         )
         request = Request(
             model=model,

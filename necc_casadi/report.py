@@ -14,6 +14,7 @@ from necc_casadi.artifact import Design
 from necc_casadi.assignability import Verdict
 from necc_casadi.casimirs import Casimirs
 from necc_casadi.certificate import Certificate
+from necc_casadi.export import Sampling
 from necc_casadi.expressions import to_text
 from necc_casadi.figures import SweepPoint
 from necc_casadi.learned import Residual
@@ -39,6 +40,7 @@ class Findings:
     design: Design | None = None
     certificate: Certificate | None = None
     responses: Sequence[Trajectory] = ()
+    sampling: Sampling | None = None
     sweep: Sequence[SweepPoint] = ()
     notes: list[str] = field(default_factory=list)
     files: list[str] = field(default_factory=list)
@@ -127,6 +129,7 @@ def to_json(found: Findings) -> dict[str, Any]:
         "design": None if found.design is None else design_block(found.design, found.certificate),
         "certificate": None if found.certificate is None else _certificate(found.certificate),
         "responses": [_response(r) for r in found.responses] or None,
+        "sampling": None if found.sampling is None else vars(found.sampling),
         "sweep": [vars(p) for p in found.sweep] or None,
         "notes": found.notes,
         "files": found.files,
@@ -202,6 +205,8 @@ def summary(found: Findings) -> str:
         rows.append(("learned", _learned(found.design.learned)))
     if found.responses:
         rows.append(("responses", _responses(found)))
+    if found.sampling is not None:
+        rows.append(("sampled", _sampled(found.sampling)))
     if found.certificate is not None:
         for claim in found.certificate.claims:
             mark = "proved" if claim.holds else "NOT proved"
@@ -301,6 +306,18 @@ def _design_rows(design: Design, certificate: Certificate | None) -> list[tuple[
             f"{block['hessian_min_eig']:.4g}",
         ),
     ]
+
+
+def _sampled(sampling: Sampling) -> str:
+    limit = (
+        "no largest stable sample time was found"
+        if sampling.largest_stable is None
+        else f"stable up to {sampling.largest_stable:.3g} s"
+    )
+    return (
+        f"at {sampling.sample_time:g} s the sampled loop has spectral radius "
+        f"{sampling.spectral_radius:.4f} at z̄; {limit} (linearised)"
+    )
 
 
 def _learned(residual: Residual) -> str:

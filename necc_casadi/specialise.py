@@ -41,6 +41,7 @@ PRIMES = (2147471759, 2147466359, 2147454839, 2147441519, 2147441159, 2147407799
 _FRACTION = 12  # sin(a/d) and exp(a/d) are consistent for every d that divides this
 _BATCHES = 12
 _BITS = 333
+_DIGITS = 100
 
 
 class Unspecialised(NeccError):
@@ -336,7 +337,17 @@ def _ball(expr: sp.Expr, known: dict[sp.Expr, Any]) -> Any:
         for part in parts[1:]:
             total = total + part if expr.is_Add else total * part
         return total
-    return flint.arb("nan")
+    return _measured(expr)
+
+
+def _measured(expr: sp.Expr) -> Any:
+    """A ball around a constant of another kind, e.g. a root of a polynomial, from its digits."""
+    if not expr.is_number:
+        return flint.arb("nan")
+    value = expr.evalf(_DIGITS)
+    if not (value.is_Float or value.is_Rational):
+        return flint.arb("nan")
+    return flint.arb(flint.arb(str(value)).mid(), abs(flint.arb(str(value))) * 10 ** (5 - _DIGITS))
 
 
 def _pivoted(table: list[list[Any]]) -> int:

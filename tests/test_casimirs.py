@@ -191,6 +191,17 @@ def test_state_dependent_inputs(G, form):
     assert form(q, loop.z[2]).free_symbols == found.functions[0].free_symbols
 
 
+def test_the_separable_form():
+    """α(x1) = 1/cos x1 separates: C = ∫dx1/cos x1 − ∫(x2 + 3)dx2."""
+    x1, x2 = sp.symbols("x1 x2", real=True)
+    G = sp.Matrix([sp.cos(x1), 1 / (x2 + 3)])
+    plant = make_plant((x1, x2), sp.zeros(2, 2), sp.zeros(2, 2), G, x1**2 + x2**2)
+    loop = default_loop(plant)
+    found = find_casimirs(loop)
+    assert found.origins == ("integrated one-form",)
+    assert conserved(loop, found.functions) < 1e-9
+
+
 integers = st.integers(-2, 2)
 
 

@@ -155,3 +155,24 @@ def test_blocks_are_the_connected_components():
     Q[0, 3] = Q[3, 0] = 1
     Q[1, 2] = Q[2, 1] = q
     assert ex.blocks(Q) == [[0, 3], [1, 2], [4]]
+
+
+@given(matrices(rows=(3, 3), columns=(3, 3)), matrices(rows=(3, 3), columns=(3, 3)))
+@settings(max_examples=60, deadline=None)
+def test_family_verdicts_agree_with_a_scan(A, B):
+    """λ_min is concave along τ: a fine scan comes close to its supremum and never above it."""
+    Q0, Q1 = A + A.T, B + B.T
+    best = best_curvature(Q0, [Q1], sp.eye(3))
+    steps = np.concatenate([np.linspace(-5, 5, 401), np.linspace(-200, 200, 401)])
+    family = numeric(Q0) + steps[:, None, None] * numeric(Q1)
+    scan = float(np.linalg.eigvalsh(family)[:, 0].max())
+    if best.ceiling is not None:
+        assert scan <= best.ceiling + 1e-5
+    if scan > 1e-6:
+        assert best.kind == "positive"
+    if best.kind == "positive":
+        assert definiteness(Q0 + best.tau[0] * Q1)[0] == "positive"
+    if best.kind == "negative":
+        assert scan < 1e-9
+    if best.kind == "flat":
+        assert scan < 1e-9

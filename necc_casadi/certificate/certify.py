@@ -14,7 +14,7 @@ from necc_casadi.certificate.decrease import prove_attraction, prove_decrease, p
 from necc_casadi.certificate.enclosures import Potential
 from necc_casadi.certificate.equilibrium import Equilibrium, prove_equilibrium
 from necc_casadi.certificate.intervals import self_test
-from necc_casadi.certificate.region import GridRegion, Proof, prove_region
+from necc_casadi.certificate.region import CoreRegion, GridRegion, Proof, Region, prove_region
 from necc_casadi.certificate.structure import critical_points_are_invariant
 from necc_casadi.errors import OutputError
 
@@ -45,7 +45,7 @@ class Certificate:
     limited_by: str | None = None
     domain_share: float | None = None  # of the domain, momenta at rest: a lower bound
     is_global: bool = False
-    region: GridRegion | None = None
+    region: Region | None = None
 
     @property
     def certified(self) -> bool:
@@ -85,11 +85,16 @@ class Certificate:
             ) from None
 
 
-def _region(data: dict[str, Any]) -> GridRegion:
+def _region(data: dict[str, Any]) -> Region:
     def tuples(value: Any) -> Any:
         return tuple(tuples(v) for v in value) if isinstance(value, list) else value
 
-    return GridRegion(**{key: tuples(value) for key, value in data.items()})
+    kinds: dict[str, type[GridRegion] | type[CoreRegion]] = {
+        "grid": GridRegion,
+        "core": CoreRegion,
+    }
+    kind = kinds[data["method"]]
+    return kind(**{key: tuples(value) for key, value in data.items()})
 
 
 def _finite(value: Any) -> Any:

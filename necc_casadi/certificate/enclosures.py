@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, reduce
+from itertools import product
 
 import numpy as np
 import sympy as sp
@@ -13,33 +14,21 @@ from necc_casadi.artifact import Design
 from necc_casadi.certificate.intervals import Interval, concatenate, point, stack
 from necc_casadi.certificate.jets import (
     Jet,
-    Slopes,
     chain,
     constant,
     coordinates,
     expression_jets,
-    sin_slopes,
-    tanh_slopes,
 )
-from necc_casadi.networks import MonotonePhi, Network, Vector
+from necc_casadi.certificate.perceptrons import network_jet, phi_jet
+from necc_casadi.networks import Network, Vector
 
 __all__ = ["Potential", "matrix_enclosure", "target_enclosure"]
 
 
-def _squareplus_slopes(v: Interval) -> tuple[Interval, Interval, Interval]:
-    root = (v.square() + 4.0).sqrt()
-    inverse = root.reciprocal()
-    return (v + root) * 0.5, (1.0 + v * inverse) * 0.5, 2.0 * inverse.power(3)
-
-
 #: Boxes per network evaluation: arrays stay within a processor's cache.
 _ROWS = 512
-
-_ACTIVATIONS: dict[str, Slopes] = {
-    "tanh": tanh_slopes,
-    "sin": sin_slopes,
-    "squareplus": _squareplus_slopes,
-}
+#: Network evaluations that one call may spend on cutting boxes, and pieces per axis at most.
+_BUDGET, _PIECES = 2048, 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,6 +55,18 @@ class Potential:
             both = self._jet(concatenate(Z, point(middle)))
             return both[: Z.shape[0]].centred(both[Z.shape[0] :], Z - middle)
 
+    def lower_hessian(self, Z: Interval) -> Interval:
+        """Matrices L with ∇²V ⪰ L' for an L' in L, tighter than ∇²V itself, (B, active, active).
+
+        Where Φ is the sum, ∇²K and ∇²Hc are replaced by matrices below them in the order ⪰: their
+        entries, which vary together, no longer count as if each varied alone.
+        """
+        if self.design.form.phi is not None:
+            return self.jet(Z).hess
+        with np.errstate(all="ignore"):
+            energy, casimir = self._parts(Z, below=True)
+            return (energy + casimir).hess
+
     def slope(self, Z: Interval) -> Interval:
         """Φ₁ = ∂Φ/∂(H + Hc) over boxes (B, active), shape (B,)."""
         form, weights = self.design.form, self._weights
@@ -88,83 +89,66 @@ class Potential:
         outer = phi_jet(phi, self._weights[-1], stack([energy.value, casimir.value]))
         return chain(outer, [energy, casimir])
 
-    def _parts(self, Z: Interval) -> tuple[Jet, Jet]:
-        """(H + Hc, C) over boxes."""
+    def _parts(self, Z: Interval, below: bool = False) -> tuple[Jet, Jet]:
+        """(H + Hc, C) over boxes; `below`: with ∇²K and ∇²Hc from below."""
         loop, form, weights = self.design.loop, self.design.form, self._weights
         variables = coordinates(Z)
         functions = [self._energy, *self.design.casimirs.functions]
         symbols = [loop.z[i] for i in self.active]
         H, *c = expression_jets(functions, dict(zip(symbols, variables, strict=True)))
-        Hc = _compose(form.hc, weights[0], variables[-loop.controller.nc :])
-        return Hc + H, self._casimir([_as_jet(part, variables[0]) for part in c])
+        Hc = _compose(form.hc, weights[0], variables[-loop.controller.nc :], below)
+        return Hc + H, self._casimir([_as_jet(part, variables[0]) for part in c], below)
 
-    def _casimir(self, c: list[Jet]) -> Jet:
+    def _casimir(self, c: list[Jet], below: bool) -> Jet:
         form, weights = self.design.form, self._weights
         if form.betas:
             parts = zip(form.betas, weights[2:], c, strict=False)
             c = [reduce(lambda a, b: a + b, [_compose(beta, w, [s]) for beta, w, s in parts])]
-        return _compose(form.k, weights[1], c)
+        return _compose(form.k, weights[1], c, below)
 
 
 def _as_jet(part: Jet | Interval, like: Jet) -> Jet:
     return part if isinstance(part, Jet) else like * 0.0 + part
 
 
-def _compose(network: Network, weights: Vector, inputs: list[Jet]) -> Jet:
+def _compose(network: Network, weights: Vector, inputs: list[Jet], below: bool = False) -> Jet:
     """f(inputs); equal argument boxes, of which a grid has many, are evaluated once."""
     X = stack([j.value for j in inputs])
-    unique, inverse = np.unique(np.concatenate([X.lo, X.hi], axis=1), axis=0, return_inverse=True)
     d = X.shape[1]
-    parts = [
-        network_jet(network, weights, Interval(rows[:, :d], rows[:, d:]))
-        for rows in np.array_split(unique, -(-len(unique) // _ROWS))
-    ]
-    return chain(reduce(Jet.above, parts)[inverse.ravel()], inputs)
+    unique, inverse = np.unique(np.concatenate([X.lo, X.hi], axis=1), axis=0, return_inverse=True)
+    outer = _over_pieces(network, weights, Interval(unique[:, :d], unique[:, d:]))
+    if below:
+        outer = Jet(outer.value, outer.grad, _below(outer.hess))
+    return chain(outer[inverse.ravel()], inputs)
 
 
-def network_jet(network: Network, weights: Vector, X: Interval) -> Jet:
-    """A network over boxes of its own inputs (B, d), centred layer by layer."""
-    layers = [(point(W), point(b)) for W, b in network.layers(weights)]
-    result = _layers(layers, _ACTIVATIONS[network.activation], X)
-    if network.quadratic:
-        result = result + _quadratic(*network.quadratic_part(weights), X)
-    return result
-
-
-def _quadratic(kappa: Vector, center: Vector, X: Interval) -> Jet:
-    """Σ ½ κᵢ (vᵢ − oᵢ)²."""
-    offset = X - center
-    hess = np.broadcast_to(np.diag(kappa), (X.shape[0], kappa.size, kappa.size))
-    return Jet((offset.square() * kappa * 0.5).sum(), offset * kappa, point(hess))
-
-
-def phi_jet(phi: MonotonePhi, weights: Vector, X: Interval) -> Jet:
-    """Φ(e, k) over boxes (B, 2)."""
-    a, b, d, f = np.split(weights, 4)
-    inner = stack([point(b).exp(), point(d)])
-    neurons = _layers(
-        [(inner, point(f)), (point(a).exp()[None, :], point(np.zeros(1)))], tanh_slopes, X
-    )
-    e, k = coordinates(X)
-    return neurons + (e * float(phi.delta) + k)
-
-
-def _layers(layers: list[tuple[Interval, Interval]], activate: Slopes, X: Interval) -> Jet:
-    """W_L σ(… σ(W_1 v + b_1) …) + b_L; mean-value forms keep deep networks from exploding."""
-    middle, boxes = X.mid, X.shape[0]
-    delta = X - middle
-    both = _input(concatenate(X, point(middle)))
-    for index, (W, b) in enumerate(layers):
-        both = (both.apply(activate) if index else both).affine(W, b)
-        over, at = both[:boxes], both[boxes:]
-        both = over.centred(at, delta).above(at)
-    return both[:boxes, 0]
-
-
-def _input(X: Interval) -> Jet:
+def _over_pieces(network: Network, weights: Vector, X: Interval) -> Jet:
+    """A network over boxes (B, d), each cut into pieces as far as the budget allows."""
     boxes, d = X.shape
-    grad = np.broadcast_to(np.eye(d), (boxes, d, d))
-    return Jet(X, point(grad), point(np.zeros((boxes, d, d, d))))
+    wide = max(1, int((X.hi > X.lo).any(-1).sum()))
+    count = int(np.clip((_BUDGET / wide) ** (1 / d), 1, _PIECES))
+    edges = X.lo[:, None] + (X.hi - X.lo)[:, None] * (np.arange(count + 1) / count)[:, None]
+    edges[:, -1] = X.hi
+    index, axes = np.array(list(product(range(count), repeat=d))), np.arange(d)
+    pieces = Interval(edges[:, index, axes], edges[:, index + 1, axes]).reshape(-1, d)
+    parts = [
+        network_jet(network, weights, pieces[rows])
+        for rows in np.array_split(np.arange(pieces.shape[0]), -(-pieces.shape[0] // _ROWS))
+    ]
+    return Jet(*(_hull(part, boxes) for part in vars(reduce(Jet.above, parts)).values()))
+
+
+def _hull(parts: Interval, boxes: int) -> Interval:
+    shape = (boxes, -1, *parts.shape[1:])
+    return Interval(parts.lo.reshape(shape).min(1), parts.hi.reshape(shape).max(1))
+
+
+def _below(hess: Interval) -> Interval:
+    """Matrices that are ⪯ every symmetric matrix in the enclosures (B, d, d)."""
+    middle = (hess.mid + np.swapaxes(hess.mid, -1, -2)) / 2
+    radius = (hess - middle).magnitude
+    bound = point(np.maximum(radius, np.swapaxes(radius, -1, -2))).sum().hi.max(-1)
+    return point(middle) - point(bound)[..., None, None] * np.eye(hess.shape[-1])
 
 
 def target_enclosure(design: Design) -> Interval:

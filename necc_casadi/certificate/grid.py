@@ -95,7 +95,7 @@ def flood(potential: Potential, grid: Grid, z_bar: Interval) -> Flood | None:
         jet = potential.jet(grid.boxes(np.arange(grid.size)))
         low = _finite_lower(jet)
         open_cells = ~_excludes_zero(jet)
-        convex = positive_definite(jet.hess)
+        convex = positive_definite(potential.lower_hessian(grid.boxes(np.arange(grid.size))))
         core = _core(grid, open_cells.reshape(grid.shape), convex.reshape(grid.shape), start)
         if core is None:
             return None

@@ -7,6 +7,7 @@ With y the states that are not momenta of :func:`quadratic_states`, Ω is over t
 from __future__ import annotations
 
 import base64
+import math
 import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -14,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from necc_casadi.artifact import Design
+from necc_casadi.certificate.core import half_axes, widest_core
 from necc_casadi.certificate.definite import Truth
 from necc_casadi.certificate.enclosures import Potential
 from necc_casadi.certificate.equilibrium import Equilibrium
@@ -22,7 +24,7 @@ from necc_casadi.certificate.intervals import Interval
 from necc_casadi.certificate.structure import quadratic_states, stiffness
 from necc_casadi.networks import Vector
 
-__all__ = ["Domain", "GridRegion", "Proof", "domain_of", "prove_region"]
+__all__ = ["CoreRegion", "Domain", "GridRegion", "Proof", "Region", "domain_of", "prove_region"]
 
 #: Cells of the grid, by dimension; more dimensions are the business of the convex core.
 _CELLS = {1: 4096, 2: 128**2, 3: 40**3}
@@ -89,11 +91,35 @@ class GridRegion:
         return bool(cells.size and self.mask.ravel()[cells[0]] and design.V(z) <= self.level)
 
 
+@dataclass(frozen=True)
+class CoreRegion:
+    """Ω as a level and the ellipsoid that holds the component of {V(y, 0) ≤ c}; see Core."""
+
+    level: float  # c
+    active: tuple[int, ...]  # the states y
+    center: tuple[float, ...]  # ȳ
+    L: tuple[tuple[float, ...], ...]
+    radii: tuple[float, ...]
+    nu: tuple[float, ...]
+    step: tuple[float, ...]
+    above: float  # ∇²V ⪯ above·LLᵀ on the ellipsoid
+    method: str = "core"
+
+    def contains(self, design: Design, z: Sequence[float]) -> bool:
+        """Whether z is in Ω, by plain evaluation of V."""
+        e = np.asarray(z, float)[list(self.active)] - np.array(self.center)
+        inside = np.linalg.norm(np.array(self.L).T @ e) <= self.radii[-1]
+        return bool(inside and design.V(z) <= self.level)
+
+
+Region = GridRegion | CoreRegion
+
+
 @dataclass(frozen=True, eq=False)
 class Proof:
     """A region, what limits it, and what it covers; `region` is None where nothing is proved."""
 
-    region: GridRegion | None
+    region: Region | None
     limited_by: str
     shares: Mapping[str, float]
 
@@ -104,26 +130,74 @@ def prove_region(potential: Potential, equilibrium: Equilibrium) -> Proof:
     resting = quadratic_states(design)
     reduced = Potential(design, resting)
     domain = domain_of(design)
-    inner = domain.of(reduced.active)
-    if len(reduced.active) not in _CELLS:
-        return Proof(None, f"{len(reduced.active)} coupled states are too many for a grid", {})
-    grid = make_grid(inner.lo, inner.hi, _CELLS[len(reduced.active)])
     z_bar = equilibrium.box[list(reduced.active)]
-    found = flood(reduced, grid, z_bar)
-    if found is None:
-        return Proof(None, "the surroundings of z̄ are not proved free of other critical points", {})
-    level, limited_by = found.level, _limit(reduced, grid, found)
-    bottom = float(reduced.jet(z_bar[None, :]).value.lo[0])
-    ceiling, state = momentum_ceiling(design, resting, domain, bottom)
-    if ceiling < level:
-        level, limited_by = ceiling, f"the domain, in {state}"
-    if not level > float(reduced.jet(z_bar[None, :]).value.hi[0]):
-        return Proof(None, limited_by, {})
-    mask = found.levels <= level
+    bottom = reduced.jet(z_bar[None, :]).value
+    ceiling, state = momentum_ceiling(design, resting, domain, float(bottom.lo[0]))
+    if not ceiling > bottom.hi[0]:
+        return Proof(None, f"the domain, in {state}", {})
+    limit = (ceiling, f"the domain, in {state}")
+    inner = domain.of(reduced.active)
+    proof = None
+    if len(reduced.active) in _CELLS:
+        proof = _on_grid(reduced, inner, z_bar, limit)
+    if proof is None:
+        proof = _in_ellipsoid(reduced, inner, z_bar, limit)
+    reason = "no neighbourhood of z̄ is proved free of other critical points"
+    return proof or Proof(None, reason, {})
+
+
+def _on_grid(
+    potential: Potential, domain: Domain, z_bar: Interval, limit: tuple[float, str]
+) -> Proof | None:
+    """The region on a grid; None where the grid is too coarse for the surroundings of z̄."""
+    grid = make_grid(domain.lo, domain.hi, _CELLS[len(potential.active)])
+    found = flood(potential, grid, z_bar)
+    if found is None or not found.level > potential.jet(z_bar[None, :]).value.hi[0]:
+        return None
+    level, limited_by = min(limit, (found.level, _limit(potential, grid, found)))
+    mask: Truth = np.asarray(found.levels <= level)
     region = GridRegion(
-        level, reduced.active, grid.first, grid.shape, grid.step, found.core, _packed(mask)
+        level, potential.active, grid.first, grid.shape, grid.step, found.core, _packed(mask)
     )
-    return Proof(region, limited_by, _shares(design, region, found, mask, inner))
+    return Proof(region, limited_by, _shares(potential.design, region, found, mask, domain))
+
+
+def _in_ellipsoid(
+    potential: Potential, domain: Domain, z_bar: Interval, limit: tuple[float, str]
+) -> Proof | None:
+    """The region in an ellipsoid around z̄, with a lower bound of its volume and half-widths."""
+    with np.errstate(all="ignore"):
+        core = widest_core(potential, z_bar.mid, domain.lo, domain.hi)
+    if core is None:
+        return None
+    level, limited_by = min(limit, (core.level, "the bound of the curvature of V"))
+    height = level - float(potential.jet(z_bar[None, :]).value.hi[0])
+    if not height > 0:
+        return None
+    region = CoreRegion(
+        level,
+        potential.active,
+        tuple(map(float, core.center)),
+        tuple(tuple(map(float, row)) for row in core.L),
+        tuple(map(float, core.radii)),
+        tuple(map(float, core.nu)),
+        tuple(map(float, core.step)),
+        core.above,
+    )
+    return Proof(region, limited_by, _ellipsoid_shares(potential, region, height, domain))
+
+
+def _ellipsoid_shares(
+    potential: Potential, region: CoreRegion, height: float, domain: Domain
+) -> dict[str, float]:
+    """What the ellipsoid ½ above |e|² ≤ 0.999 height, part of Ω, covers."""
+    L, d = np.array(region.L), len(region.active)
+    radius = min(math.sqrt(2 * 0.999 * height / region.above), region.radii[-1])
+    ball = math.pi ** (d / 2) / math.gamma(d / 2 + 1) * radius**d
+    half = 0.999 * half_axes(L, radius)
+    states = [potential.design.loop.states[i] for i in potential.active]
+    shares = {"domain_share": 0.999 * ball / float(np.prod(np.diagonal(L))) / domain.volume}
+    return shares | {f"reach_{s}": float(v) for s, v in zip(states, half, strict=True)}
 
 
 def momentum_ceiling(

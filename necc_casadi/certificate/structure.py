@@ -33,13 +33,14 @@ def quadratic_states(design: Design) -> tuple[int, ...]:
         s for s, target in zip(plant.x, design.x_star, strict=True) if s not in used and target == 0
     ]
     while resting:
-        stiffness = sp.hessian(plant.H, resting).applyfunc(sp.simplify)
-        occurrences = [sum(e.has(s) for e in stiffness) for s in resting]
-        if not any(occurrences):
+        A = sp.hessian(plant.H, resting).applyfunc(sp.simplify)
+        faults = [sum(entry.has(s) for entry in A) for s in resting]
+        if not any(faults):
+            at_rest = dict.fromkeys(resting, 0)
+            faults = [not ex.is_zero(sp.diff(plant.H, s).subs(at_rest)) for s in resting]
+        if not any(faults):
             break
-        resting.pop(int(np.argmax(occurrences)))
-    at_rest = dict.fromkeys(resting, 0)
-    resting = [s for s in resting if ex.is_zero(sp.diff(plant.H, s).subs(at_rest))]
+        resting.pop(int(np.argmax(faults)))  # the others are judged again without it
     return tuple(plant.x.index(s) for s in resting)
 
 
