@@ -235,11 +235,6 @@ def test_faults_that_show_at_the_target(tmp_path, code, text, target, piece):
     [
         ("j_not_skew", "J = sp.Matrix([[0, 2], [0, 0]])", "pi/4"),
         ("model_file", "1 / 0", "pi/4"),
-        ("model_file", "def", "pi/4"),
-        ("model_file", "raise SystemExit(0)", "pi/4"),
-        ("target_value", "", "sqrt(-1)"),
-        ("target_length", "", "1,2,3"),
-        ("target_ambiguous", "", "p=0"),
         ("duplicate_state", "", "q=1,q=2"),
     ],
 )
@@ -247,9 +242,8 @@ def test_bad_input_as_a_process(tmp_path, code, text, target):
     done = process(DESIGN, model(tmp_path, text), "--target", target, "--json", cwd=tmp_path)
     check_refusal((done.returncode, done.stdout, done.stderr), code)
     assert [path.name for path in tmp_path.iterdir() if path.is_dir()] == []
-    plain = process(DESIGN, model(tmp_path, text), "--target", target, cwd=tmp_path)
-    assert (plain.returncode, plain.stdout) == (2, "")
-    assert plain.stderr == done.stderr
+    code_here, out, err = design(model(tmp_path, text), "--target", target)
+    assert (code_here, out, err) == (2, "", done.stderr)
 
 
 @pytest.mark.parametrize(
@@ -336,15 +330,17 @@ def test_designing_twice_replaces_the_files_and_changes_nothing_else(tmp_path):
 # --- interruption --------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("delay", [0.3, 2.0, 3.5])
+@pytest.mark.parametrize("delay", [0.0, 0.7, 2.0])
 def test_interrupting_leaves_nothing_half_written(tmp_path, delay):
-    """SIGINT to the whole group while starting, training or writing: 130, no temporary files."""
+    """SIGINT to the whole group while judging, compiling or training: 130, no temporary files."""
+    path = model(tmp_path, 'print("loaded", flush=True)')
     child = subprocess.Popen(
-        [sys.executable, "-c", DESIGN, str(PENDULUM), "--target", "pi/4", "--starts", "1000",
+        [sys.executable, "-c", DESIGN, str(path), "--target", "pi/4", "--starts", "1000",
          "--hidden-k", "64,64", "--hidden-h", "32,32", "--json"],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=tmp_path,
         start_new_session=True,
     )  # fmt: skip
+    assert child.stderr.readline() == "loaded\n"
     time.sleep(delay)
     os.killpg(child.pid, signal.SIGINT)
     out, err = child.communicate(timeout=60)
