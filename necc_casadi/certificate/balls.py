@@ -201,6 +201,26 @@ class Net:
         net.linear = [arb(phi["delta"]), arb(1)]
         return net
 
+    def floor(self, activation: str) -> arb_mat:
+        """A matrix ⪯ ∇²f for all arguments of a network with at most one hidden layer."""
+        total = arb_mat(self.d, self.d)
+        if self.quadratic is not None:
+            for i, kappa in enumerate(self.quadratic[0]):
+                total[i, i] = kappa
+        if len(self.layers) == 1:
+            return total
+        W, out = self.layers[0][0], self.layers[1][0]
+        bend = {"tanh": 4 / (3 * arb(3).sqrt()), "sin": arb(1), "squareplus": arb(1) / 4}[
+            activation
+        ]
+        for j in range(W.nrows()):
+            convex = activation == "squareplus" and not out[0, j] < 0
+            weight = arb(0) if convex else abs(out[0, j]) * bend
+            for i in range(self.d):
+                for k in range(self.d):
+                    total[i, k] = total[i, k] - weight * W[j, i] * W[j, k]
+        return total
+
     def __call__(self, box: Box) -> tuple[arb, list[arb], dict[tuple[int, int], arb]]:
         """(f, ∇f, ∇²f over pairs i ≤ j) over a box, by mean-value forms about its middle."""
         if box not in self._known:
