@@ -24,7 +24,7 @@ __all__ = ["Box", "Energy", "Model", "ball", "ends", "evaluate"]
 Box = tuple[tuple[float, float], ...]
 
 #: Arguments of neurons may vary by this much over a piece of a box.
-_SPREAD = 0.5
+_SPREAD = 0.25
 
 _FUNCTIONS = {
     "sin": arb.sin, "cos": arb.cos, "tan": arb.tan, "asin": arb.asin, "acos": arb.acos,

@@ -589,7 +589,7 @@ class _Core:
             ]
             return _positive(self.energy.hessian(piece) - self.P * arb(max(met)), 0)
 
-        return everywhere(box, test, 8)
+        return everywhere(box, test, 10)
 
     def _covers(self, data: Mapping[str, Any], share: float) -> bool:
         """The ellipsoid ½ above |e|² ≤ height is in the region; its size is as claimed."""
@@ -615,7 +615,7 @@ class _Core:
                 return True
             return _positive(self.P * arb(self.above) - self.energy.hessian(piece, -1), 0)
 
-        return everywhere(box, test, 8)
+        return everywhere(box, test, 10)
 
 
 # --- small tools ----------------------------------------------------------------------------------

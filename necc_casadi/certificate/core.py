@@ -26,7 +26,7 @@ _SHELLS = 16
 _PARTS = {2: 64, 3: 24, 4: 14, 5: 8}
 _FEWEST_PARTS = 4
 #: How far below its estimate ν is tried, in this order.
-_SLACK = (1e-6, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0)
+_SLACK = (0.01, 0.03, 0.1, 0.3, 1.0, 3.0)
 
 
 @dataclass(frozen=True, eq=False)
