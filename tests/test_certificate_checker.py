@@ -148,17 +148,13 @@ def change_hash(data):
     data["design_hash"] = "0" * 64
 
 
-def claim_global(data):
-    data["is_global"] = True
-
-
 def forget_momentum(data):
     data["region"]["active"] = [0, 1]
 
 
 CHANGES = [
     raise_level, move_z_bar, drop_cells, stretch_grid, move_grid, shift_core,
-    change_hash, claim_global, forget_momentum,
+    change_hash, forget_momentum,
 ]  # fmt: skip
 
 
@@ -183,6 +179,18 @@ def test_cells_of_another_well_and_a_ball_that_reaches_it_are_rejected(tmp_path)
     assert all(verdicts(folder).values())
     assert not altered(folder, tmp_path, grow_cells)["region"]
     assert not altered(folder, tmp_path, scaled("radius", 4.0))["equilibrium"]
+
+
+def test_a_global_claim_is_proved_again_or_rejected(pendulum, tmp_path):
+    assert verdicts(pendulum)["global"]
+    design = quadratic_pendulum(k=1.3, h=4)  # convex near z̄ only
+    made = certify(design)
+    assert made.certified
+    assert not made.is_global
+    design.save(tmp_path / "design.json")
+    data = json.loads(made.to_json()) | {"is_global": True}
+    (tmp_path / "certificate.json").write_text(json.dumps(data), encoding="utf-8")
+    assert not verdicts(tmp_path)["global"]
 
 
 def test_a_lowered_level_may_still_be_true(pendulum, tmp_path):

@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from itertools import combinations_with_replacement, pairwise
+from functools import reduce
+from itertools import combinations_with_replacement, pairwise, product
 from typing import Any
 
 import sympy as sp
@@ -21,6 +22,9 @@ __all__ = ["Box", "Energy", "Model", "ball", "ends", "evaluate"]
 
 #: A box: one (lo, hi) of doubles per coordinate.
 Box = tuple[tuple[float, float], ...]
+
+#: Arguments of neurons may vary by this much over a piece of a box.
+_SPREAD = 0.25
 
 _FUNCTIONS = {
     "sin": arb.sin, "cos": arb.cos, "tan": arb.tan, "asin": arb.asin, "acos": arb.acos,
@@ -169,6 +173,8 @@ class Net:
         self.place = [{key: i for i, key in enumerate(keys)} for keys in self.index]
         self.quadratic: tuple[list[arb], list[arb]] | None = None
         self.linear: list[arb] | None = None
+        rows = layers[0][0].tolist()
+        self.steepest = [max(float(abs(row[i]).upper()) for row in rows) for i in range(inputs)]
         self._known: dict[Box, tuple[arb, list[arb], dict[tuple[int, int], arb]]] = {}
 
     @classmethod
@@ -201,11 +207,42 @@ class Net:
         net.linear = [arb(phi["delta"]), arb(1)]
         return net
 
+    def floor(self, activation: str) -> arb_mat:
+        """A matrix ⪯ ∇²f for all arguments of a network with at most one hidden layer."""
+        total = arb_mat(self.d, self.d)
+        if self.quadratic is not None:
+            for i, kappa in enumerate(self.quadratic[0]):
+                total[i, i] = kappa
+        if len(self.layers) == 1:
+            return total
+        W, out = self.layers[0][0], self.layers[1][0]
+        bend = {"tanh": 4 / (3 * arb(3).sqrt()), "sin": arb(1), "squareplus": arb(1) / 4}[
+            activation
+        ]
+        for j in range(W.nrows()):
+            convex = activation == "squareplus" and not out[0, j] < 0
+            weight = arb(0) if convex else abs(out[0, j]) * bend
+            for i in range(self.d):
+                for k in range(self.d):
+                    total[i, k] = total[i, k] - weight * W[j, i] * W[j, k]
+        return total
+
     def __call__(self, box: Box) -> tuple[arb, list[arb], dict[tuple[int, int], arb]]:
         """(f, ∇f, ∇²f over pairs i ≤ j) over a box, by mean-value forms about its middle."""
         if box not in self._known:
-            self._known[box] = self._enclose(box)
+            pieces = [self._enclose(piece) for piece in self._pieces(box)]
+            self._known[box] = reduce(_union, pieces)
         return self._known[box]
+
+    def _pieces(self, box: Box) -> list[Box]:
+        """The box, cut where a neuron's argument varies much."""
+        most = {1: 16, 2: 4}.get(self.d, 2)
+        sides = []
+        for (lo, hi), steep in zip(box, self.steepest, strict=True):
+            count = min(most, max(1, math.ceil((hi - lo) * steep / _SPREAD)))
+            ends = [lo + (hi - lo) * k / count for k in range(count)] + [hi]
+            sides.append(list(pairwise(ends)))
+        return list(product(*sides))
 
     def _enclose(self, box: Box) -> tuple[arb, list[arb], dict[tuple[int, int], arb]]:
         wide = [ball(lo, hi) for lo, hi in box]
@@ -282,6 +319,12 @@ class Net:
             for order in range(3)
         ]
         return [*result, over[3]]
+
+
+def _union(a: Any, b: Any) -> tuple[arb, list[arb], dict[tuple[int, int], arb]]:
+    """The hull of two enclosures of (f, ∇f, ∇²f)."""
+    grad = [u.union(v) for u, v in zip(a[1], b[1], strict=True)]
+    return a[0].union(b[0]), grad, {key: a[2][key].union(b[2][key]) for key in a[2]}
 
 
 def _meet(a: arb, b: arb) -> arb:

@@ -13,9 +13,10 @@ from necc_casadi.certificate.claim import Claim
 from necc_casadi.certificate.decrease import prove_attraction, prove_decrease, prove_only_stable
 from necc_casadi.certificate.enclosures import Potential
 from necc_casadi.certificate.equilibrium import Equilibrium, prove_equilibrium
+from necc_casadi.certificate.everywhere import why_not_global
 from necc_casadi.certificate.intervals import self_test
 from necc_casadi.certificate.region import CoreRegion, GridRegion, Proof, Region, prove_region
-from necc_casadi.certificate.structure import critical_points_are_invariant
+from necc_casadi.certificate.structure import critical_points_are_invariant, quadratic_states
 from necc_casadi.errors import OutputError
 
 __all__ = ["FORMAT", "Certificate", "certify"]
@@ -132,15 +133,28 @@ def certify(design: Design, *, region: bool = True, report: Report | None = None
         missing = Claim("region", False, "no region without a proof of stability")
         return replace(certificate, claims=(*certificate.claims, missing))
     proof = prove_region(potential, equilibrium)
+    everywhere = _global_claim(design, stability)
     told("region", 1.0)
     return replace(
         certificate,
-        claims=(*certificate.claims, _region_claim(design, proof, stability)),
+        claims=(*certificate.claims, _region_claim(design, proof, stability), everywhere),
+        is_global=everywhere.holds,
         level=None if proof.region is None else proof.region.level,
         limited_by=proof.limited_by,
         domain_share=proof.shares.get("domain_share"),
         region=proof.region,
     )
+
+
+def _global_claim(design: Design, stability: str) -> Claim:
+    missing = "z̄ is not proved to attract"
+    if stability == "asymptotic":
+        reason = why_not_global(design, quadratic_states(design))
+        if reason is None:
+            text = "z̄ is globally asymptotically stable: every solution converges to it"
+            return Claim("global", True, text)
+        missing = reason
+    return Claim("global", False, f"no global claim: {missing}")
 
 
 def _region_claim(design: Design, proof: Proof, stability: str) -> Claim:

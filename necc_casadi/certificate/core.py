@@ -20,13 +20,13 @@ from necc_casadi.networks import Vector
 __all__ = ["Core", "widest_core"]
 
 #: Half-axes that are tried, as shares of the largest ellipsoid in the domain.
-_SCALES = (1.0, 0.7, 0.5, 0.35, 0.25, 0.15, 0.1, 0.05)
+_SCALES = (1.0, 0.7, 0.5, 0.35, 0.25, 0.15, 0.1, 0.05, 0.02, 0.01, 5e-3, 2e-3, 1e-3)
 _SHELLS = 16
 #: Cells per axis of the box around the ellipsoid, by dimension, about.
-_PARTS = {2: 64, 3: 24, 4: 14, 5: 8, 6: 6, 7: 5}
+_PARTS = {2: 64, 3: 24, 4: 14, 5: 8}
 _FEWEST_PARTS = 4
 #: How far below its estimate ν is tried, in this order.
-_SLACK = (1e-6, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0)
+_SLACK = (0.01, 0.03, 0.1, 0.3, 1.0, 3.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,6 +68,9 @@ def _shells(potential: Potential, center: Vector, L: Vector, radius: float) -> C
     """Shells of one ellipsoid, cut where the slope along rays is no longer positive."""
     parts = _PARTS.get(center.size, _FEWEST_PARTS)
     step = np.asarray(np.exp2(np.round(np.log2(2 * half_axes(L, radius) / parts))), float)
+    central = Interval(center - step / 2, center + step / 2)[None, :]
+    if not lower_curvature(potential.lower_hessian(central), L)[0] > 0:
+        return None
     cells, lowest, highest = ellipsoid_cells(center, L, radius, step)
     nu_cell = lower_curvature(potential.lower_hessian(cells), L)
     outer = radius * np.arange(1, _SHELLS + 1) / _SHELLS

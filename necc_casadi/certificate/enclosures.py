@@ -93,11 +93,21 @@ class Potential:
         """(H + Hc, C) over boxes; `below`: with ∇²K and ∇²Hc from below."""
         loop, form, weights = self.design.loop, self.design.form, self._weights
         variables = coordinates(Z)
-        functions = [self._energy, *self.design.casimirs.functions]
-        symbols = [loop.z[i] for i in self.active]
-        H, *c = expression_jets(functions, dict(zip(symbols, variables, strict=True)))
+        H, *c = self._expressions(Z)
         Hc = _compose(form.hc, weights[0], variables[-loop.controller.nc :], below)
         return Hc + H, self._casimir([_as_jet(part, variables[0]) for part in c], below)
+
+    def _expressions(self, Z: Interval) -> list[Jet | Interval]:
+        """H and the closed-form Casimirs over boxes, by mean-value forms about their middles."""
+        functions = [self._energy, *self.design.casimirs.functions]
+        symbols = [self.design.loop.z[i] for i in self.active]
+        boxes, middle = Z.shape[0], Z.mid
+        variables = coordinates(concatenate(Z, point(middle)))
+        both = expression_jets(functions, dict(zip(symbols, variables, strict=True)))
+        return [
+            part[:boxes].centred(part[boxes:], Z - middle) if isinstance(part, Jet) else part
+            for part in both
+        ]
 
     def _casimir(self, c: list[Jet], below: bool) -> Jet:
         form, weights = self.design.form, self._weights

@@ -22,7 +22,7 @@ from necc_casadi.networks import Vector
 #: Shares of the stiffness at the middles of the boxes that are tried, in this order.
 _SHARES = (0.999999, 0.99, 0.95, 0.9, 0.8, 0.6, 0.4, 0.2)
 
-__all__ = ["critical_points_are_invariant", "quadratic_states", "stiffness"]
+__all__ = ["critical_points_are_invariant", "quadratic_states", "stiffness", "subdivide"]
 
 
 def quadratic_states(design: Design) -> tuple[int, ...]:
@@ -54,7 +54,7 @@ def stiffness(design: Design, resting: Sequence[int], box: Interval) -> Vector |
     others = [s for i, s in enumerate(loop.z) if i not in resting]
     used = [i for i, s in enumerate(others) if A.has(s)]
     parts = max(4, round(2048 ** (1 / max(1, len(used)))))
-    cells = _subdivide(box[np.array(used, dtype=int)], min(parts, 256))
+    cells = subdivide(box[np.array(used, dtype=int)], min(parts, 256))
     enclosure = matrix_enclosure(A, [others[i] for i in used], cells)
     if not (np.isfinite(enclosure.lo).all() and np.isfinite(enclosure.hi).all()):
         return None
@@ -69,7 +69,7 @@ def stiffness(design: Design, resting: Sequence[int], box: Interval) -> Vector |
     return result if (result > 0).all() else None
 
 
-def _subdivide(box: Interval, parts: int) -> Interval:
+def subdivide(box: Interval, parts: int) -> Interval:
     """A box (d,) cut into parts^d boxes, (parts^d, d)."""
     d = box.shape[0]
     if d == 0:
