@@ -116,9 +116,7 @@ def run(case: Case) -> dict[str, float]:
     verdict = timed(seconds, "verdict", lambda: judge(loop, casimirs, case.x_star))
     unit = np.eye(loop.plant.m)
     options = Options(D=unit, Dc=unit)
-    made = timed(
-        seconds, "training", lambda: design(loop, casimirs, verdict, case.x_star, options)
-    )
+    made = timed(seconds, "training", lambda: design(loop, casimirs, verdict, case.x_star, options))
 
     def damp() -> tuple[np.ndarray, np.ndarray]:
         terms = make_terms(loop, casimirs)
