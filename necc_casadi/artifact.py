@@ -12,7 +12,7 @@ import os
 import tempfile
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
-from functools import cached_property
+from functools import cache, cached_property
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -230,14 +230,18 @@ def _to_dict(design: Design) -> dict[str, Any]:
     symbols = identifiers(design.loop.states)
     rename = {s: sp.Symbol(i, real=True) for s, i in zip(design.loop.z, symbols, strict=True)}
 
+    @cache  # large matrices hold few different entries
+    def entry(value: sp.Expr) -> str:
+        return to_text(value.xreplace(rename))
+
     def text(value: Any) -> Any:
         if value is None:
             return None
         if isinstance(value, sp.MatrixBase):
-            return [[text(v) for v in row] for row in value.tolist()]
+            return [[entry(v) for v in row] for row in value.tolist()]
         if isinstance(value, (tuple, list)):
             return [text(v) for v in value]
-        return to_text(sp.sympify(value).xreplace(rename))
+        return entry(sp.sympify(value))
 
     plant, controller = design.loop.plant, design.loop.controller
     model = {
@@ -332,10 +336,14 @@ def _from_dict(data: Mapping[str, Any]) -> Design:
         for identifier, name in zip(model["symbols"], names, strict=True)
     }
 
+    @cache  # large matrices hold few different entries
+    def entry(text: str) -> sp.Expr:
+        return parse(text, symbols)
+
     def read(value: Any) -> Any:
         if value is None:
             return None
-        return tuple(read(v) for v in value) if isinstance(value, list) else parse(value, symbols)
+        return tuple(read(v) for v in value) if isinstance(value, list) else entry(value)
 
     def matrix(value: Any, columns: int = 0) -> sp.ImmutableMatrix:
         rows = [list(read(row)) for row in value]

@@ -15,6 +15,7 @@ from necc_casadi import exact as ex
 from necc_casadi.casimirs import Casimirs
 from necc_casadi.curvature import Curvature, best_curvature
 from necc_casadi.loop import ClosedLoop
+from necc_casadi.plant import gradient
 from necc_casadi.specialise import Unspecialised, pivots, values
 
 __all__ = [
@@ -26,7 +27,6 @@ __all__ = [
     "independent_at_every_xi",
     "is_equilibrium",
     "local_conditions",
-    "sparse_gradient",
     "sparse_hessian",
     "target_data",
 ]
@@ -114,8 +114,7 @@ def target_data(
     plant, z = loop.plant, loop.z
     columns, hessians, used = [], [], []
     for index, c in enumerate(casimirs.functions):
-        gradient = sparse_gradient(c, z)
-        column = at(gradient, point)
+        column = at(gradient(c, z), point)
         hessian = at(sparse_hessian(c, plant.x), point)
         entries = [*column, *hessian.todok().values()]
         if not any(e.has(sp.zoo, sp.nan, sp.oo, -sp.oo) for e in entries):
@@ -134,18 +133,12 @@ def target_data(
     )
 
 
-def sparse_gradient(f: sp.Expr, variables: Sequence[sp.Symbol]) -> sp.ImmutableMatrix:
-    """∇f as a column; variables that do not occur cost nothing."""
-    free = f.free_symbols
-    return column([sp.diff(f, v) if v in free else sp.Integer(0) for v in variables])
-
-
 def sparse_hessian(f: sp.Expr, variables: Sequence[sp.Symbol]) -> sp.ImmutableMatrix:
     """∇²f; variables that do not occur together cost nothing."""
     size = len(variables)
     place = {v: i for i, v in enumerate(variables)}
     entries: dict[tuple[int, int], sp.Expr] = {}
-    for i, slope in enumerate(sparse_gradient(f, variables)):
+    for i, slope in enumerate(gradient(f, variables)):
         for j in sorted(place[v] for v in slope.free_symbols if v in place):
             if j <= i:
                 entries[i, j] = entries[j, i] = sp.diff(slope, variables[j])

@@ -18,8 +18,9 @@ import numpy as np
 import sympy as sp
 
 from necc_casadi import exact as ex
-from necc_casadi.conditions import at, sparse_gradient, sparse_hessian
+from necc_casadi.conditions import at, sparse_hessian
 from necc_casadi.loop import ClosedLoop
+from necc_casadi.plant import gradient
 from necc_casadi.specialise import (
     PRIMES,
     Residues,
@@ -135,7 +136,7 @@ class _Linearisation:
         self.J = sp.Matrix(at(loop.J, z_star))
         inputs = sp.Matrix.hstack(sp.Matrix(loop.R), sp.Matrix(loop.ports))
         self.inputs = sp.Matrix(at(inputs, z_star))
-        gradients = [at(sparse_gradient(c, loop.z), z_star) for c in functions]
+        gradients = [at(gradient(c, loop.z), z_star) for c in functions]
         self.grad_c = sp.Matrix.hstack(*gradients) if gradients else None
         weighted = [w * c for w, c in zip(lam, functions, strict=True) if w != 0]
         energy = loop.plant.H + sp.Add(*weighted)

@@ -80,8 +80,12 @@ class Plant:
 
 
 def gradient(f: sp.Expr, variables: Sequence[sp.Symbol]) -> sp.ImmutableMatrix:
-    """∇f as a column, len(variables) × 1."""
-    return sp.ImmutableMatrix([sp.diff(f, v) for v in variables])
+    """∇f as a column, len(variables) × 1; a term costs only the variables that it contains."""
+    slopes: dict[sp.Symbol, list[sp.Expr]] = {v: [] for v in variables}
+    for term in sp.Add.make_args(f):
+        for v in term.free_symbols & slopes.keys():
+            slopes[v].append(sp.diff(term, v))
+    return sp.ImmutableMatrix([sp.Add(*terms) for terms in slopes.values()])
 
 
 def make_plant(

@@ -19,6 +19,8 @@ __all__ = ["Trajectory", "default_horizon", "random_states", "simulate"]
 SETTLED = 0.02
 #: A mode that decays slower than this share of the fastest rate is taken as not decaying.
 _DECAYS = 1e-4
+#: Periods of the fastest oscillation that a response spans at most.
+_MOST_PERIODS = 1000
 _RELATIVE, _ABSOLUTE = 1e-9, 1e-11
 
 
@@ -68,11 +70,17 @@ class Trajectory:
 
 
 def default_horizon(design: Design) -> float:
-    """A time in which the slowest decaying mode falls well below 2 %, s."""
+    """A time in which the slowest decaying mode falls well below 2 %, s.
+
+    No more than so many periods of the fastest oscillation: a lossless line with many states
+    takes longer to settle than anyone wants to integrate with error control.
+    """
     spectrum = np.linalg.eigvals(design.lyapunov.linearisation(design.z_bar))
     fastest = float(np.abs(spectrum).max())
     decaying = [-v.real for v in spectrum if -v.real > _DECAYS * fastest]
-    return 8.0 / min(decaying) if decaying else 30.0
+    settled = 8.0 / min(decaying) if decaying else 30.0
+    oscillation = float(np.abs(spectrum.imag).max())
+    return min(settled, _MOST_PERIODS * 2 * np.pi / oscillation) if oscillation else settled
 
 
 def random_states(design: Design, count: int, seed: int = 0) -> list[Vector]:

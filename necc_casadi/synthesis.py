@@ -11,6 +11,7 @@ import sympy as sp
 from necc_casadi.artifact import Design
 from necc_casadi.assignability import Verdict
 from necc_casadi.casimirs import Casimirs
+from necc_casadi.conditions import at
 from necc_casadi.convexity import least_kappa
 from necc_casadi.damping import choose_damping
 from necc_casadi.learned import casimir_penalty, casimir_residual, state_inputs
@@ -19,6 +20,7 @@ from necc_casadi.loop import ClosedLoop
 from necc_casadi.lyapunov import Form, LyapunovFunction, make_terms
 from necc_casadi.networks import KAPPA_MIN, MonotonePhi, Network, Vector
 from necc_casadi.outcome import Start
+from necc_casadi.plant import gradient
 from necc_casadi.training import train
 
 __all__ = ["Options", "design", "natural_scales", "paper_options"]
@@ -183,13 +185,15 @@ def natural_scales(loop: ClosedLoop, casimirs: Casimirs, x_star: Vector, xi: Vec
     size[:n] = np.where(np.isnan(size[:n]), 1.0, size[:n])
     point = dict(zip(loop.z, np.concatenate([x_star, xi]), strict=True))
     for function in casimirs.functions:
-        slope = np.array([abs(float(sp.diff(function, s).subs(point))) for s in loop.z])
+        slope = np.array([abs(float(v)) for v in at(gradient(function, loop.z), point)])
         reach = float(np.max(slope[:n] * size[:n], initial=0.0))
         for index in range(n, len(size)):
             if np.isnan(size[index]) and slope[index] > 0 and reach > 0:
                 size[index] = reach / slope[index]
     size[np.isnan(size)] = 1.0
-    curvature = [abs(float(sp.diff(loop.plant.H, s, 2).subs(point))) for s in loop.plant.x]
+    slopes = zip(loop.plant.grad_H, loop.plant.x, strict=True)
+    second = at(sp.Matrix([sp.diff(slope, s) for slope, s in slopes]), point)
+    curvature = [abs(float(v)) for v in second]
     energies = size[:n] ** 2 * np.array(curvature)
     energy = float(energies[energies > 0].mean()) if np.any(energies > 0) else 1.0
     return Scales(size, energy)
