@@ -176,8 +176,13 @@ class Lifting:
         """Lifted variables of dimensionless weights ŵ at ξ* = xi."""
         return self.jets_at(self.sigma * w_hat + self.tau, xi)
 
+    def quadratic_only(self, kappa: float) -> Vector:
+        """Lifted variables of V without its networks, quadratic parts with this κ."""
+        w_hat = np.zeros(self.form.size)
+        return self.small_at(self.centred(w_hat, self.guess, kappa), self.guess)
+
     def centred(self, w_hat: Vector, xi: Vector, kappa_min: float) -> Vector:
-        """ŵ with the quadratic parts centred at the networks' inputs at z*, κ above its bound."""
+        """ŵ with the quadratic parts centred at the networks' inputs at z*, κ at least this."""
         w_hat = w_hat.copy()
         bases = self.bases.call([self.small_at(w_hat, xi)])
         parts, units = self.form.split(w_hat), self.form.split(self.sigma)
@@ -185,5 +190,5 @@ class Lifting:
             if isinstance(network, Network) and network.quadratic:
                 d = network.inputs
                 part[-d:] = np.asarray(base, float).ravel() / unit[-d:]
-                part[-2 * d : -d] = np.maximum(part[-2 * d : -d], 1.1 * kappa_min)
+                part[-2 * d : -d] = np.maximum(part[-2 * d : -d], kappa_min)
         return w_hat

@@ -44,6 +44,8 @@ __all__ = ["Solution", "train"]
 EXACT_HESSIAN_WEIGHTS = 500
 #: Weak pull of ξ* to its initial value: V may be invariant under translations of ξ.
 XI_COST = 1e-2
+#: Quadratic parts start this much above their lower bound.
+STIFFER = 1.1
 #: A fixed entry of ∇V(z*) below this, in natural units, is rounding.
 _ZERO = 1e-12
 #: A start whose ε is below this has solved the hard form.
@@ -137,7 +139,7 @@ def train(
     lifting = Lifting(terms, form, np.asarray(x_star, float), scales, guess)
     results: list[tuple[Start, Vector, Vector]] = []
     for make in (_hard, _soft):
-        program = make(lifting, a)
+        program = make(lifting, a, kappa_min)
         if program is None:
             continue
         solver = _Solver(lifting, program, a, kappa_min, penalty, verbose)
@@ -173,7 +175,7 @@ class _Program:
     initial: Callable[[Vector], Vector]  # lifted variables -> start of `extra`
 
 
-def _hard(lifting: Lifting, a: float) -> _Program | None:
+def _hard(lifting: Lifting, a: float, kappa_min: float) -> _Program | None:
     """∇V(z*) = 0, ∇²V(z*) − aI = LLᵀ; None where no weight can satisfy that."""
     movable = _movable_rows(lifting, a)
     if movable is None:
@@ -183,8 +185,13 @@ def _hard(lifting: Lifting, a: float) -> _Program | None:
     L, entries = _lower(pattern)
     P = lifting.scales.stiffness[rows]
     gap = ca.vertcat(*[(S - L @ L.T)[i, j] for i, j in pattern])
-    shape = ca.dot(ca.diag(L @ L.T), 1 / P) - 2 * ca.sum1(ca.log(ca.diag(L)))
     value = ca.Function("S", [lifting.small], [S])
+    reference = np.diag(P)
+    if kappa_min > KAPPA_MIN:  # stiff quadratic parts are the reference: no network undoes them
+        stiff = np.asarray(value(lifting.quadratic_only(STIFFER * kappa_min)), float)
+        reference = stiff if np.linalg.eigvalsh(stiff)[0] > 0 else reference
+    inverse = ca.sparsify(ca.DM(np.linalg.inv(reference)))
+    shape = ca.dot(inverse, L @ L.T) - 2 * ca.sum1(ca.log(ca.diag(L)))
     diagonal = np.array([i == j for i, j in pattern], bool)
     return _Program(
         mode="hard",
@@ -220,7 +227,7 @@ def _movable_rows(lifting: Lifting, a: float) -> tuple[ca.SX, ca.SX, list[int]] 
     return ca.vertcat(*[g[i] for i in range(n) if moves[i]]), ca.sparsify(S), rows
 
 
-def _soft(lifting: Lifting, a: float) -> _Program:
+def _soft(lifting: Lifting, a: float, _: float) -> _Program:
     """Minimise s + t with ∇V(z*) = s w, wᵀw ≤ 1, ∇²V(z*) + (t − a)I = LLᵀ: ε exactly."""
     n = lifting.g.numel()
     s, t, w = ca.SX.sym("s"), ca.SX.sym("t"), ca.SX.sym("w", n)
@@ -355,7 +362,7 @@ class _Solver:
         w0 = lifting.form.initial(rng)
         spread = 0.5 * lifting.scales.state[-nc:] if away else np.zeros(nc)
         xi0 = lifting.guess + rng.normal(0.0, 1.0, nc) * spread
-        w0 = lifting.centred(w0, xi0, self.kappa_min)
+        w0 = lifting.centred(w0, xi0, STIFFER * self.kappa_min)
         small = lifting.small_at(w0, xi0)
         began = time.perf_counter()
         with interruptible():
