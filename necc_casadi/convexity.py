@@ -19,35 +19,47 @@ _SAMPLES = 400
 #: Least eigenvalue, relative to the reference stiffness, that quadratic parts alone must reach
 #: at every sample: what is left for the networks to take away.
 _MARGIN = 0.15
+#: Curvature at z* beyond the one asked for.
+_TO_SPARE = 1.2
 _STIFFEST = 1e4
 
 
 def least_kappa(
-    terms: Terms, scales: Scales, verdict: Verdict, x_star: Vector, xi_star: Vector
+    terms: Terms, scales: Scales, verdict: Verdict, x_star: Vector, xi_star: Vector, a: float
 ) -> float:
     """The least κ, in natural units, for which quadratic parts alone make V convex at samples.
 
-    The samples fill twice the natural domain, whole turns of an angle included. A certificate,
-    not this search, says whether V is convex everywhere. Where no stiffness helps (H curves
-    downwards somewhere along an invisible direction) the default bound is returned.
+    They must also reach the curvature `a` at z*, with something to spare, so that the networks
+    need not. The samples fill twice the natural domain, whole turns of an angle included. A
+    certificate, not this search, says whether V is convex everywhere. Where no stiffness helps
+    (H curves downwards somewhere along an invisible direction) the default bound is returned.
     """
-    lowest = _lowest_curvature(terms, scales, verdict, np.concatenate([x_star, xi_star]))
+    hessians = _hessians(terms, scales, verdict, np.concatenate([x_star, xi_star]))
+    relative = np.outer(scales.state, scales.state) / scales.energy
+
+    def convex(kappa: float) -> bool:
+        at_target, around = hessians(kappa)
+        return bool(
+            np.linalg.eigvalsh(at_target)[0] >= _TO_SPARE * a
+            and np.linalg.eigvalsh(around * relative).min() >= _MARGIN
+        )
+
     upper = 1.0
-    while lowest(upper) < _MARGIN:
+    while not convex(upper):
         upper *= 2
         if upper > _STIFFEST:
             return KAPPA_MIN
     lower = 0.0 if upper == 1.0 else upper / 2
     for _ in range(20):
         middle = (lower + upper) / 2
-        lower, upper = (lower, middle) if lowest(middle) >= _MARGIN else (middle, upper)
+        lower, upper = (lower, middle) if convex(middle) else (middle, upper)
     return upper
 
 
-def _lowest_curvature(
+def _hessians(
     terms: Terms, scales: Scales, verdict: Verdict, z_star: Vector
-) -> Callable[[float], float]:
-    """κ ↦ least eigenvalue of ∇²V over the samples, V = H + λᵀc + ½κ(‖ξ‖² + ‖c − c*‖²) scaled."""
+) -> Callable[[float], tuple[Vector, Vector]]:
+    """κ ↦ ∇²V at z* and at the samples, V = H + λᵀc + ½κ(‖ξ‖² + ‖c − c*‖²) in natural units."""
     n = terms.n
     z, kappa = ca.MX.sym("z", len(z_star)), ca.MX.sym("kappa")
     c, c_star = terms.c(z), np.asarray(terms.c(z_star), float)
@@ -63,11 +75,10 @@ def _lowest_curvature(
     offsets = np.random.default_rng(0).uniform(-4, 4, (_SAMPLES, len(z_star)))
     samples = z_star + offsets * scales.state
 
-    def lowest(value: float) -> float:
-        all_hessians = np.asarray(hessian.map(len(samples))(samples.T, value), float)
-        blocks = all_hessians.reshape(len(z_star), len(samples), len(z_star)).swapaxes(0, 1)
-        relative = blocks * np.outer(scales.state, scales.state) / scales.energy
-        finite = relative[np.isfinite(relative).all(axis=(1, 2))]
-        return float(np.linalg.eigvalsh(finite).min())
+    def at(value: float) -> tuple[Vector, Vector]:
+        columns = np.asarray(hessian.map(len(samples))(samples.T, value), float)
+        blocks = columns.reshape(len(z_star), len(samples), len(z_star)).swapaxes(0, 1)
+        finite = blocks[np.isfinite(blocks).all(axis=(1, 2))]
+        return np.asarray(hessian(z_star, value), float), finite
 
-    return lowest
+    return at

@@ -123,7 +123,7 @@ def design(
         seed=options.seed,
         starts=options.starts,
         xi_guess=guess,
-        kappa_min=least_kappa(terms, scales, verdict, x, guess) if options.convex else KAPPA_MIN,
+        kappa_min=least_kappa(terms, scales, verdict, x, guess, a) if options.convex else KAPPA_MIN,
         penalty=penalty,
         report=report,
         verbose=options.verbose,
