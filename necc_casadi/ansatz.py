@@ -17,7 +17,15 @@ import sympy as sp
 from necc_casadi import exact as ex
 from necc_casadi.loop import ClosedLoop
 from necc_casadi.one_forms import integrated_kernel, primitive
-from necc_casadi.specialise import Residues, Unspecialised, nullspace, pivots, rank, values
+from necc_casadi.specialise import (
+    Residues,
+    Unspecialised,
+    null_basis,
+    nullspace,
+    pivots,
+    rank,
+    values,
+)
 
 __all__ = ["Search", "find_closed_forms", "independent", "rates"]
 
@@ -43,8 +51,8 @@ class Search:
         if self.kernel_rank == 0:
             return ()
         table = values(list(M), 1)[0].reshape(M.shape)
-        full = rank(table)
-        return tuple(s for i, s in enumerate(z) if rank(np.delete(table, i, axis=0)) == full)
+        basis = null_basis(table.T)
+        return tuple(s for i, s in enumerate(z) if np.any(basis[:, i]))
 
     @cached_property
     def columns(self) -> list[list[tuple[int, sp.Expr]]]:
@@ -102,16 +110,17 @@ def independent(known: Sequence[sp.Expr], c: sp.Expr, z: Sequence[sp.Symbol]) ->
     return any(rank(t) == len(functions) for t in tables)
 
 
-def find_closed_forms(
-    search: Search, forms: Forms, wanted: int, constant_only: bool = False
-) -> None:
-    """Append proved, independent Casimirs to `forms` until there are `wanted`."""
+def find_closed_forms(search: Search, forms: Forms, wanted: int, effort: str = "full") -> None:
+    """Append proved, independent Casimirs to `forms` until there are `wanted`.
+
+    `effort` is ``constant`` (constant sub-kernel only), ``quick`` (single functions of the model)
+    or ``full``.
+    """
     if len(forms) >= wanted:
         return
     try:
-        variables = search.support
-        if constant_only:
-            _adopt(search, forms, wanted, _linear(search, variables), "constant kernel")
+        if effort == "constant":
+            forms.extend((c, "constant kernel") for c in _linear(search))
             return
         for words, origin in _vocabularies(search):
             if len(forms) >= wanted:
@@ -120,6 +129,8 @@ def find_closed_forms(
                 _adopt(search, forms, wanted, integrated_kernel(search.loop), "integrated one-form")
             elif len(words) <= _MOST_WORDS:
                 _adopt(search, forms, wanted, _solutions(search, words), origin)
+            if effort == "quick":
+                return
     except Unspecialised:
         return
 
@@ -129,10 +140,13 @@ def _vocabularies(search: Search) -> Iterable[tuple[list[sp.Expr], str]]:
     variables, functions = list(search.support), search.functions
     single = _unique([*variables, *_with_constants(search, variables), *functions])
     yield single, "functions of the model"
-    trig = _trig_products(functions, variables)
+    angles = _angles(functions)
+    trig = _trig_products(angles)
     if trig:
-        yield _unique([*variables, *trig]), "trigonometric ansatz"
         yield _unique([*variables, *trig, *_times(variables, trig)]), "trigonometric ansatz"
+        # A yaw angle does not occur in M: where there are angles, every state may be one.
+        every = list(dict.fromkeys([*angles, *variables]))
+        yield _unique([*variables, *_trig_products(every)]), "trigonometric ansatz"
     pairs = _unique([*single, *_products(single, 2)])
     yield pairs, "ansatz of degree 2"
     yield _unique([*single, *_products(single, 2), *_products(single, 3)]), "ansatz of degree 3"
@@ -157,15 +171,12 @@ def _times(left: Sequence[sp.Expr], right: Sequence[sp.Expr]) -> list[sp.Expr]:
     return [a * b for a in left for b in right]
 
 
-def _trig_products(functions: Sequence[sp.Expr], variables: Sequence[sp.Symbol]) -> list[sp.Expr]:
-    """Products with at most one sine or cosine of each angle, fewest factors first.
+def _angles(functions: Sequence[sp.Expr]) -> list[sp.Expr]:
+    return list(dict.fromkeys(f.args[0] for f in functions if isinstance(f, (sp.sin, sp.cos))))
 
-    Where angles occur at all, every state may be one: a yaw angle does not occur in M.
-    """
-    found = dict.fromkeys(f.args[0] for f in functions if isinstance(f, (sp.sin, sp.cos)))
-    angles = list(dict.fromkeys([*found, *variables]) if found else found)
-    if 3 ** len(angles) > _MOST_WORDS:
-        angles = list(found)
+
+def _trig_products(angles: Sequence[sp.Expr]) -> list[sp.Expr]:
+    """Products with at most one sine or cosine of each angle, fewest factors first."""
     if not angles or 3 ** len(angles) > _MOST_WORDS:
         return []
     choices = [(sp.Integer(1), sp.cos(a), sp.sin(a)) for a in angles]
@@ -221,13 +232,14 @@ def _parts(entry: sp.Expr) -> Iterable[sp.Expr]:
             ]
 
 
-def _linear(search: Search, variables: Sequence[sp.Symbol]) -> list[sp.Expr]:
+def _linear(search: Search) -> list[sp.Expr]:
     """All constant v with vᵀM(z) ≡ 0, as vᵀz with the reduced-echelon basis."""
-    vectors = _null_vectors(search, variables)
-    if not vectors:
-        return []
-    basis = ex.kernel(ex.kernel(sp.Matrix(vectors)).T)
-    return [sp.Add(*[basis[i, k] * s for i, s in enumerate(variables)]) for k in range(basis.cols)]
+    z = search.loop.z
+    basis = ex.constant_kernel(sp.Matrix(search.loop.M).T)
+    return [
+        sp.Add(*[basis[i, k] * s for i, s in enumerate(z) if basis[i, k] != 0])
+        for k in range(basis.cols)
+    ]
 
 
 def _solutions(search: Search, words: Sequence[sp.Expr]) -> list[sp.Expr]:
@@ -241,12 +253,17 @@ def _solutions(search: Search, words: Sequence[sp.Expr]) -> list[sp.Expr]:
 
 
 def _normalised(c: sp.Expr, z: Sequence[sp.Symbol]) -> sp.Expr:
-    """Primitive integer coefficients; the first linear term positive, or the leading one."""
+    """First linear term with coefficient 1, as in q − ξ; else primitive integer coefficients."""
+    if c.is_polynomial(*z):
+        c = sp.expand(c)
     content, part = c.primitive()
     c = sp.Add(*sp.Add.make_args(part)) if content != 0 else c
-    linear = [c.coeff(s) for s in z if s in sp.Add.make_args(c) or -s in sp.Add.make_args(c)]
-    negative = sp.sign(linear[0]) == -1 if linear else c.could_extract_minus_sign()
-    return -c if negative else c
+    terms = [t.as_coeff_Mul() for t in sp.Add.make_args(c)]
+    linear = {unit: coefficient for coefficient, unit in terms if unit in z}
+    if linear:
+        leading = next(linear[s] for s in z if s in linear)
+        return sp.Add(*[coefficient / leading * unit for coefficient, unit in terms])
+    return -c if c.could_extract_minus_sign() else c
 
 
 def _null_vectors(search: Search, words: Sequence[sp.Expr]) -> list[list[sp.Rational]]:
@@ -257,11 +274,25 @@ def _null_vectors(search: Search, words: Sequence[sp.Expr]) -> list[list[sp.Rati
     points = 13 * len(words) // (10 * per_point) + 6
     z = search.loop.z
     place = {s: i for i, s in enumerate(z)}
-    slopes = [(k, place[s], sp.diff(w, s)) for k, w in enumerate(words) for s in w.free_symbols]
+    slopes = [(k, place[s], slope(w, s)) for k, w in enumerate(words) for s in _states(w)]
     used = {i for _, i, _ in slopes}
     entries = [(i, j, e) for j, column in enumerate(search.columns) for i, e in column if i in used]
     shape = (points, len(z), len(search.columns), len(words))
     return nullspace(lambda prime: _system(slopes, entries, shape, prime), _PRIMES_USED)
+
+
+def _states(word: sp.Expr) -> list[sp.Symbol]:
+    return sorted(word.free_symbols, key=str)
+
+
+def slope(word: sp.Expr, s: sp.Symbol) -> sp.Expr:
+    """∂word/∂s; a product is left unexpanded, which is what the numerical evaluation wants."""
+    if word.is_Mul:
+        touched = [f for f in word.args if s in f.free_symbols]
+        if len(touched) == 1:
+            rest = [f for f in word.args if f is not touched[0]]
+            return sp.Mul(sp.diff(touched[0], s), *rest, evaluate=False)
+    return sp.diff(word, s)
 
 
 def _system(
@@ -292,23 +323,21 @@ def _adopt(
     search: Search, forms: Forms, wanted: int, candidates: Sequence[sp.Expr], origin: str
 ) -> None:
     """Take candidates that are new and proved: finite and regular at the target first."""
-    ordered = sorted(
-        enumerate(candidates),
-        key=lambda t: (search.has_pole(t[1]), len(sp.Add.make_args(t[1])), t[0]),
-    )
-    if origin == "constant kernel":
-        ordered = list(enumerate(candidates))
+    known = [f for f, _ in forms]
+    new: list[sp.Expr] = []
+    for c in sorted(candidates, key=lambda c: len(sp.Add.make_args(c))):
+        if len(new) < _MOST_PROOFS and independent(known, c, search.loop.z):
+            new.append(c)
+    ordered = sorted(new, key=search.has_pole)
     for regular_only in (True, False):
-        tried = 0
-        for _, c in ordered:
-            if len(forms) >= wanted or tried >= _MOST_PROOFS:
-                break
+        for c in ordered:
+            if len(forms) >= wanted:
+                return
             if regular_only and not _regular(search, [*[f for f, _ in forms], c]):
                 continue
-            if independent([f for f, _ in forms], c, search.loop.z):
-                tried += 1
-                if all(ex.is_zero(rate) is True for rate in rates(c, search.loop)):
-                    forms.append((c, origin))
+            new_one = independent([f for f, _ in forms], c, search.loop.z)
+            if new_one and all(ex.is_zero(rate) is True for rate in rates(c, search.loop)):
+                forms.append((c, origin))
 
 
 def _regular(search: Search, functions: Sequence[sp.Expr]) -> bool:

@@ -12,7 +12,7 @@ import os
 import tempfile
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
-from functools import cached_property
+from functools import cache, cached_property
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -26,9 +26,10 @@ from necc_casadi.assignability import Verdict
 from necc_casadi.casimirs import Casimirs
 from necc_casadi.errors import OutputError
 from necc_casadi.expressions import identifiers, parse, to_text
+from necc_casadi.learned import Residual
 from necc_casadi.loop import ClosedLoop, Controller
 from necc_casadi.lyapunov import Form, LyapunovFunction, make_terms
-from necc_casadi.networks import MonotonePhi, Network, Vector
+from necc_casadi.networks import ACTIVATIONS, MonotonePhi, Network, Vector
 from necc_casadi.outcome import Start
 from necc_casadi.plant import Plant, Property
 
@@ -55,6 +56,7 @@ class Design:
     a_requested: float
     seed: int
     starts: tuple[Start, ...] = ()
+    learned: Residual | None = None  # of a learned Casimir; None: Casimirs in closed form
     versions: Mapping[str, str] = field(default_factory=lambda: package_versions())
 
     @cached_property
@@ -158,9 +160,22 @@ class Design:
             data = json.loads(text)
             if data.get("format") != FORMAT:
                 raise OutputError("output", f"{label} has format {data.get('format')!r}", remedy)
-            return _from_dict(data)
-        except (KeyError, TypeError, ValueError, AttributeError, IndexError) as problem:
+            design = _from_dict(data)
+            _check_whole(design, data)
+            return design
+        except _BROKEN as problem:
             raise OutputError("output", f"{label} is not a design: {problem!r}", remedy) from None
+
+
+#: What reading a file that is no design can raise.
+_BROKEN = (
+    ArithmeticError,
+    AttributeError,
+    LookupError,
+    RecursionError,
+    TypeError,
+    ValueError,
+)
 
 
 def package_versions() -> dict[str, str]:
@@ -215,14 +230,18 @@ def _to_dict(design: Design) -> dict[str, Any]:
     symbols = identifiers(design.loop.states)
     rename = {s: sp.Symbol(i, real=True) for s, i in zip(design.loop.z, symbols, strict=True)}
 
+    @cache  # large matrices hold few different entries
+    def entry(value: sp.Expr) -> str:
+        return to_text(value.xreplace(rename))
+
     def text(value: Any) -> Any:
         if value is None:
             return None
         if isinstance(value, sp.MatrixBase):
-            return [[text(v) for v in row] for row in value.tolist()]
+            return [[entry(v) for v in row] for row in value.tolist()]
         if isinstance(value, (tuple, list)):
             return [text(v) for v in value]
-        return to_text(sp.sympify(value).xreplace(rename))
+        return entry(sp.sympify(value))
 
     plant, controller = design.loop.plant, design.loop.controller
     model = {
@@ -243,7 +262,7 @@ def _to_dict(design: Design) -> dict[str, Any]:
         "format": FORMAT,
         "versions": dict(design.versions),
         "model": model,
-        "model_hash": hashlib.sha256(json.dumps(model, sort_keys=True).encode()).hexdigest(),
+        "model_hash": _model_hash(model),
         "casimirs": {
             "functions": text(design.casimirs.functions),
             "kernel_rank": design.casimirs.kernel_rank,
@@ -269,8 +288,40 @@ def _to_dict(design: Design) -> dict[str, Any]:
         "Dc": _hex(design.Dc),
         "seed": design.seed,
         "starts": [asdict(start) for start in design.starts],
+        "learned": None if design.learned is None else asdict(design.learned),
         "weights": _hex(design.weights),
     }
+
+
+def _model_hash(model: Mapping[str, Any]) -> str:
+    return hashlib.sha256(json.dumps(model, sort_keys=True).encode()).hexdigest()
+
+
+def _check_whole(design: Design, data: Mapping[str, Any]) -> None:
+    """Raise ValueError where the parts of a file do not belong together."""
+    plant, controller, form = design.loop.plant, design.loop.controller, design.form
+    n, nc, m = plant.n, controller.nc, plant.m
+    r = len(design.casimirs.functions)
+    if data["model_hash"] != _model_hash(data["model"]):
+        raise ValueError("the model was edited: its hash differs")
+    shapes = {
+        "weights": (design.weights, (form.size,)),
+        "xi_star": (design.xi_star, (nc,)),
+        "D": (design.D, (m, m)),
+        "Dc": (design.Dc, (m, m)),
+        "target": (np.array([float(sp.N(v, 20)) for v in design.x_star]), (n,)),
+    }
+    for name, (values, shape) in shapes.items():
+        if np.shape(values) != shape or not np.all(np.isfinite(values)):
+            raise ValueError(f"{name} must hold finite numbers of shape {shape}")
+    if min(np.linalg.eigvalsh(damping)[0] for damping in (design.D, design.Dc)) <= 0:
+        raise ValueError("D and Dc must be positive definite")
+    inputs = [form.hc.inputs, form.k.inputs, *[beta.inputs for beta in form.betas]]
+    if inputs != [nc, *([1] * (1 + r) if form.betas else [r])]:
+        raise ValueError("the networks do not fit the controller and its Casimirs")
+    for network in (form.hc, form.k, *form.betas):
+        if network.activation not in ACTIVATIONS or min(network.hidden, default=1) < 1:
+            raise ValueError(f"no such network: {network}")
 
 
 _VERDICT_PLAIN = ("assignable", "reason", "explanation", "a_max", "stability", "witness")
@@ -285,10 +336,14 @@ def _from_dict(data: Mapping[str, Any]) -> Design:
         for identifier, name in zip(model["symbols"], names, strict=True)
     }
 
+    @cache  # large matrices hold few different entries
+    def entry(text: str) -> sp.Expr:
+        return parse(text, symbols)
+
     def read(value: Any) -> Any:
         if value is None:
             return None
-        return tuple(read(v) for v in value) if isinstance(value, list) else parse(value, symbols)
+        return tuple(read(v) for v in value) if isinstance(value, list) else entry(value)
 
     def matrix(value: Any, columns: int = 0) -> sp.ImmutableMatrix:
         rows = [list(read(row)) for row in value]
@@ -347,6 +402,7 @@ def _from_dict(data: Mapping[str, Any]) -> Design:
         a_requested=float.fromhex(data["a_requested"]),
         seed=data["seed"],
         starts=tuple(Start(**start) for start in data["starts"]),
+        learned=None if data["learned"] is None else Residual(**data["learned"]),
         versions=data["versions"],
     )
 

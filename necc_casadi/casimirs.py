@@ -16,6 +16,7 @@ from necc_casadi.ansatz import Search, find_closed_forms, independent, rates
 from necc_casadi.errors import ModelError
 from necc_casadi.involution import count_casimirs
 from necc_casadi.loop import ClosedLoop
+from necc_casadi.plant import scalar_entry
 
 __all__ = ["Casimirs", "find_casimirs"]
 
@@ -57,7 +58,7 @@ def find_casimirs(
     Parameters
     ----------
     supplied
-        Casimirs that the user knows; they come first, each is proved.
+        Casimirs that the user knows; each is proved, and taken before others are sought.
     target
         Plant states at the target; forms without poles there are preferred.
 
@@ -68,28 +69,22 @@ def find_casimirs(
         proved to be one.
     """
     M = loop.M
-    given = [_proved(loop, sp.sympify(c), i) for i, c in enumerate(supplied)]
+    given = [_proved(loop, c, i) for i, c in enumerate(supplied)]
     kernel_rank = loop.n - ex.generic_rank(sp.Matrix(M))
     if not M.free_symbols:
-        return _constant(loop, given, kernel_rank)
-    forms: list[tuple[sp.Expr, str]] = []
-    for c in given:
-        if independent([f for f, _ in forms], c, loop.z):
-            forms.append((c, "supplied"))
+        return _constant(loop, kernel_rank)
     search = Search(loop, kernel_rank, dict(target or {}))
-    return _counted(loop, search, forms, kernel_rank)
+    return _counted(loop, search, given, kernel_rank)
 
 
-def _constant(loop: ClosedLoop, given: Sequence[sp.Expr], kernel_rank: int) -> Casimirs:
-    """All Casimirs of a constant structure: vᵀz for a basis v of the kernel."""
+def _constant(loop: ClosedLoop, kernel_rank: int) -> Casimirs:
+    """All Casimirs of a constant structure: vᵀz for a basis v of the kernel.
+
+    Every other one, so every supplied one, is a function of these.
+    """
     basis = ex.kernel(sp.Matrix(loop.M).T)
-    forms: list[tuple[sp.Expr, str]] = []
-    linear = [(linear_form(basis[:, i], loop.z), "constant kernel") for i in range(basis.cols)]
-    for c, origin in [*((c, "supplied") for c in given), *linear]:
-        if not given or independent([f for f, _ in forms], c, loop.z):
-            forms.append((c, origin))
-    functions, origins = zip(*forms, strict=True) if forms else ((), ())
-    return Casimirs(tuple(functions), kernel_rank, kernel_rank, tuple(origins))
+    functions = tuple(linear_form(basis[:, i], loop.z) for i in range(basis.cols))
+    return Casimirs(functions, kernel_rank, kernel_rank, ("constant kernel",) * basis.cols)
 
 
 def linear_form(v: sp.MatrixBase, z: Sequence[sp.Symbol]) -> sp.Expr:
@@ -98,10 +93,15 @@ def linear_form(v: sp.MatrixBase, z: Sequence[sp.Symbol]) -> sp.Expr:
 
 
 def _counted(
-    loop: ClosedLoop, search: Search, forms: list[tuple[sp.Expr, str]], kernel_rank: int
+    loop: ClosedLoop, search: Search, given: Sequence[sp.Expr], kernel_rank: int
 ) -> Casimirs:
-    """Constant sub-kernel, then the count, then closed forms until the count is reached."""
-    find_closed_forms(search, forms, kernel_rank, constant_only=True)
+    """Constant sub-kernel and supplied ones, then the count, then closed forms up to the count."""
+    forms: list[tuple[sp.Expr, str]] = []
+    find_closed_forms(search, forms, kernel_rank, "constant")
+    for c in given:
+        if independent([f for f, _ in forms], c, loop.z):
+            forms.append((c, "supplied"))
+    find_closed_forms(search, forms, kernel_rank, "quick")
     count, proved = count_casimirs(sp.Matrix(loop.M), loop.z, len(forms))
     if len(forms) < count:
         find_closed_forms(search, forms, count)
@@ -110,14 +110,8 @@ def _counted(
 
 
 def _proved(loop: ClosedLoop, c: sp.Expr, index: int) -> sp.Expr:
-    unknown = sorted(map(str, c.free_symbols - set(loop.z)))
+    c = scalar_entry(c, f"casimirs[{index}]", loop.z)
     label = f"casimirs[{index}] = {c}"
-    if unknown:
-        raise ModelError(
-            "undefined_symbol",
-            f"{label} contains {', '.join(unknown)}, not among {', '.join(loop.states)}",
-            "A Casimir is a function of the plant's and the controller's states.",
-        )
     for j, rate in enumerate(rates(c, loop)):
         verdict = ex.is_zero(rate)
         if verdict is not True:

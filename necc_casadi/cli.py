@@ -1,10 +1,11 @@
-"""The commands ``necc-design`` and ``necc-simulate``: arguments in, text and exit codes out."""
+"""The commands necc-design, necc-certify, necc-simulate: arguments in, text and exit codes out."""
 
 from __future__ import annotations
 
 import json
 import math
 import sys
+import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,7 +19,7 @@ if TYPE_CHECKING:  # heavy packages are imported where they are used: --help sta
     from necc_casadi.artifact import Design
     from necc_casadi.simulation import Trajectory
 
-__all__ = ["design_command", "simulate_command"]
+__all__ = ["certify_command", "design_command", "simulate_command"]
 
 _WIDEST, _DEEPEST, _MOST_SWEPT = 1024, 8, 1000
 
@@ -58,6 +59,20 @@ def _range(_ctx: click.Context, _option: click.Parameter, text: str | None) -> A
     if not (0 < result[0] < result[1] < math.inf and 2 <= result[2] <= _MOST_SWEPT):
         raise click.BadParameter(f"{text!r} needs 0 < LO < HI and 2 ≤ N ≤ {_MOST_SWEPT}")
     return result
+
+
+class _Positive(click.FloatRange):
+    """A finite number above zero."""
+
+    def __init__(self) -> None:
+        super().__init__(min=0, min_open=True)
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> Any:
+        """Text to a float; nan and inf are no numbers here."""
+        number = super().convert(value, param, ctx)
+        if not math.isfinite(number):
+            self.fail(f"{value!r} is not a finite number", param, ctx)
+        return number
 
 
 _task = grouped("Task")
@@ -101,13 +116,30 @@ _output = grouped("Output")
     help="C = K(Σ βᵢ(cᵢ)) or K(c₁, …, c_r).  [default: joint; sum with --paper]",
 )
 @_form(
+    "--global",
+    "convex",
+    is_flag=True,
+    help="Quadratic parts stiff enough to make V convex everywhere, where the plant allows it.",
+)
+@_form(
+    "--learn-casimir",
+    is_flag=True,
+    help="Where closed forms are missing: a network C(z) that is a Casimir approximately. "
+    "Nothing is certified from it.",
+)
+@_form(
     "--phi",
     type=click.Choice(["sum", "neural"]),
     help="Φ = H + Hc + C, or a network with Φ₁ > 0 by construction.  [default: sum]",
 )
+@_form(
+    "--structure",
+    metavar="NAME",
+    help="A controller structure that the tool offered in a note, e.g. resonator.",
+)
 @_solver(
     "--a",
-    type=click.FloatRange(min=0, min_open=True),
+    type=_Positive(),
     help="Curvature asked of ∇²V(z*).  [default: half of the plant's own; 0.5 with --paper]",
 )
 @_solver(
@@ -155,8 +187,17 @@ _output = grouped("Output")
     help="Number type of the C controller.",
 )
 @_output(
+    "--integrator",
+    type=click.Choice(["heun", "euler", "rk4"]),
+    default="heun",
+    show_default=True,
+    help="How the C controller advances its state over a sample.",
+)
+@_output("--fmu", is_flag=True, help="Also an FMI 2.0 co-simulation unit.")
+@_output("--mex", is_flag=True, help="Also a MEX source for MATLAB.")
+@_output(
     "--sample-time",
-    type=click.FloatRange(min=0, min_open=True),
+    type=_Positive(),
     help="Sample time of the C controller, s.",
 )
 @_output("--debug", is_flag=True, help="Show IPOPT's iterations and tracebacks.")
@@ -184,7 +225,16 @@ def _design(model: Path, **options: Any) -> int:
         from necc_casadi.pipeline import Request, run_design
         from necc_casadi.report import summary, to_json
 
-        form = ("hidden_k", "hidden_h", "activation", "casimir_form", "phi", "a")
+        form = (
+            "hidden_k",
+            "hidden_h",
+            "activation",
+            "casimir_form",
+            "phi",
+            "a",
+            "convex",
+            "learn_casimir",
+        )
         chosen = {key: options[key] for key in form if options[key] is not None}
         chosen |= {key: options[key] for key in ("seed", "starts")} | {"verbose": options["debug"]}
         passed = (
@@ -197,6 +247,10 @@ def _design(model: Path, **options: Any) -> int:
             "sweep_a",
             "real",
             "sample_time",
+            "structure",
+            "integrator",
+            "fmu",
+            "mex",
         )
         request = Request(
             model=model,
@@ -228,7 +282,7 @@ def _design(model: Path, **options: Any) -> int:
     callback=_numbers,
     help="Controller state to start from.  [default: ξ*]",
 )
-@_task("--time", "horizon", type=click.FloatRange(min=0, min_open=True), help="Horizon, s.")
+@_task("--time", "horizon", type=_Positive(), help="Horizon, s.")
 @_output(
     "--points",
     type=click.IntRange(2, 1_000_000),
@@ -253,6 +307,10 @@ def _simulate(out: Path, **options: Any) -> int:
       necc-simulate pendulum-design --x0 0,0
       necc-simulate pendulum-design --x0 -1,0.5 --time 20 --csv response.csv
     """
+    if options["as_json"] and str(options["csv"]) == "-":
+        raise OptionError(
+            "usage", "--csv - and --json both want stdout", "Name a file: --csv response.csv."
+        )
     from necc_casadi.artifact import Design, write_text
     from necc_casadi.simulation import domain_box, simulate
 
@@ -285,14 +343,17 @@ def _simulate(out: Path, **options: Any) -> int:
     return 0 if response.complete else 4
 
 
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None
+
+
 def _response_json(made: Design, response: Trajectory) -> dict[str, Any]:
-    settling = response.settling_time
     return {
         "states": list(made.loop.states),
         "t_end": float(response.t[-1]),
-        "z_end": response.z[-1].tolist(),
-        "settling_time": settling if math.isfinite(settling) else None,
-        "peak_input": response.peak_input,
+        "z_end": [_finite(float(v)) for v in response.z[-1]],
+        "settling_time": _finite(response.settling_time),
+        "peak_input": _finite(response.peak_input),
         "complete": response.complete,
     }
 
@@ -311,9 +372,48 @@ def _response_text(made: Design, response: Trajectory) -> str:
     )
 
 
+@click.command("necc-certify", cls=GroupedCommand)
+@click.argument("out", type=click.Path(path_type=Path))
+@_output("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
+@_output("--debug", is_flag=True, help="Show tracebacks.")
+@click.version_option(__version__, prog_name="necc-certify")
+def _certify(out: Path, **options: Any) -> int:
+    r"""Prove again, with other arithmetic, what OUT/certificate.json claims about OUT/design.json.
+
+    \b
+    Exit codes:
+      0  every claim holds
+      2  OUT cannot be read
+      4  a claim does not hold
+    """
+    progress = Progress()
+    with progress.shown():
+        from necc_casadi.certificate.checker import check
+
+        progress.say("checking the certificate")
+        began = time.perf_counter()
+        results = check(out)
+        seconds = time.perf_counter() - began
+    holds = all(result.holds for result in results)
+    if options["as_json"]:
+        status = "certified" if holds else "fell_short"
+        claims = [vars(result) for result in results]
+        click.echo(json.dumps({"status": status, "claims": claims, "seconds": seconds}))
+    else:
+        for result in results:
+            mark = "holds" if result.holds else "DOES NOT HOLD"
+            click.echo(f"{result.name:12} {mark:14} {result.statement}")
+    return 0 if holds else 4
+
+
 def design_command() -> None:
     """Entry point of ``necc-design``."""
     sys.exit(run(_design))
+
+
+def certify_command() -> None:
+    """Entry point of ``necc-certify``."""
+    sys.exit(run(_certify))
 
 
 def simulate_command() -> None:

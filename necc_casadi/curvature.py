@@ -81,7 +81,7 @@ def _block_definiteness(block: sp.Matrix) -> tuple[str, sp.Matrix | None]:
 def _rational_vector(vector: Array) -> sp.Matrix:
     """A nearby rational vector, as simple as 1 % of its largest entry allows."""
     scaled = vector / vector[np.argmax(np.abs(vector))]
-    return sp.Matrix([_rational(v, 1000) for v in scaled])
+    return sp.Matrix([_rational(float(v), 1000) for v in scaled])
 
 
 def _rational(value: float, denominator: int) -> sp.Rational:
@@ -157,11 +157,11 @@ def _over_family(Q0: sp.Matrix, directions: Sequence[sp.Matrix], whiten: Array) 
     proposals = [np.zeros(len(directions)), tau]
     for proposal in proposals:
         for denominator in (1, 10, 1000, 10**6):
-            exact = tuple(_rational(t, denominator) for t in proposal)
+            exact = tuple(_rational(float(t), denominator) for t in proposal)
             kind, _ = definiteness(_member(Q0, directions, exact))
             if kind == "positive":
                 return Curvature(kind, exact, ceiling)
-    exact = tuple(_rational(t, 1000) for t in tau)
+    exact = tuple(_rational(float(t), 1000) for t in tau)
     obstacle = _vector_obstacle(Q0, directions)
     if obstacle is not None:
         vector, value = obstacle
@@ -208,7 +208,8 @@ def _dual_obstacle(Q0: sp.Matrix, directions: Sequence[sp.Matrix], dual: Array) 
     """Whether an exact Z ≻ 0 near `dual` has ⟨Z, Qᵢ⟩ = 0 and ⟨Z, Q₀⟩ < 0: then no τ works."""
     scale = float(np.abs(dual).max()) or 1.0
     size = Q0.rows
-    Z = sp.Matrix(size, size, lambda i, j: _rational((dual[i, j] + dual[j, i]) / 2 / scale, 10**9))
+    even = (dual + dual.T) / (2 * scale)
+    Z = sp.Matrix(size, size, lambda i, j: _rational(float(even[i, j]), 10**9))
     gram = sp.Matrix([[_inner(P, Q) for Q in directions] for P in directions])
     reduced, pivots = ex.reduced_rows(gram.row_join(sp.Matrix([_inner(Z, Q) for Q in directions])))
     if len(directions) in pivots:
@@ -228,32 +229,38 @@ def _maximise_least_eigenvalue(
     Q0: Array, directions: Sequence[Array]
 ) -> tuple[Array, float | None, Array]:
     """(τ, sup of λ_min(Q(τ)) or None where unbounded, dual Z with trace 1) by a barrier method."""
-    size, count = len(Q0), len(directions)
-    Q = np.array(directions)
+    size, Q = len(Q0), np.array(directions)
     data = max(1.0, float(np.abs(Q0).max()))
-    tau, t = np.zeros(count), float(np.linalg.eigvalsh(Q0)[0]) - data
+    tau, t = np.zeros(len(directions)), float(np.linalg.eigvalsh(Q0)[0]) - data
     dual, mu = np.eye(size) / size, data
-    for _ in range(40):
+    while mu * size > 1e-10 * data:
         for _ in range(30):
             slack = Q0 + np.tensordot(tau, Q, 1) - t * np.eye(size)
-            inverse = np.linalg.inv(slack)
-            dual = mu * inverse
-            parts = [inverse @ D for D in (*Q, -np.eye(size))]
-            gradient = mu * np.array([np.trace(P) for P in parts])
-            gradient[-1] += 1.0
-            hessian = mu * np.array([[np.sum(P * S.T) for S in parts] for P in parts])
-            hessian[:count, :count] += 1e-14 * np.eye(count)
-            step = np.linalg.lstsq(hessian, gradient, rcond=1e-13)[0]
-            length = _feasible_length(slack, Q, step)
-            tau, t = tau + length * step[:-1], t + length * step[-1]
-            if gradient @ step < 1e-6 * mu or t > _UNBOUNDED * data:
+            try:
+                dual = np.asarray(mu * np.linalg.inv(slack), dtype=np.float64)
+                step, decrement = _newton_step(dual, Q, mu)
+                length = _feasible_length(slack, Q, step)
+            except np.linalg.LinAlgError:  # as close to the boundary as rounding allows
+                return tau, float(t), dual / np.trace(dual)
+            tau, t = tau + length * step[:-1], t + length * float(step[-1])
+            if t > _UNBOUNDED * data:
+                return tau, None, dual
+            if decrement < 1e-6 * mu:
                 break
-        if t > _UNBOUNDED * data:
-            return tau, None, dual
-        if mu * size < 1e-10 * data:
-            break
         mu /= 4
     return tau, float(t), dual / np.trace(dual)
+
+
+def _newton_step(dual: Array, Q: Array, mu: float) -> tuple[Array, float]:
+    """Newton step in (τ, t) for t + μ log det(Q(τ) − tI), and its decrement; dual = μ(Q − tI)⁻¹."""
+    count = len(Q)
+    parts = [dual @ D for D in (*Q, -np.eye(len(dual)))]
+    gradient = np.array([np.trace(P) for P in parts])
+    gradient[-1] += 1.0
+    hessian = np.array([[np.sum(P * S.T) for S in parts] for P in parts]) / mu
+    hessian[:count, :count] += 1e-14 * np.eye(count)
+    step: Array = np.asarray(np.linalg.lstsq(hessian, gradient, rcond=1e-13)[0], dtype=float)
+    return step, float(gradient @ step)
 
 
 def _feasible_length(slack: Array, Q: Array, step: Array) -> float:

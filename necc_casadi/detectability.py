@@ -1,7 +1,7 @@
 """Which stability the structure can reach at an assignable target.
 
-With ∇V(z*) = 0 and P = ∇²V(z*) ≻ 0 the damped linearisation is Hurwitz iff (JP, [Rcl 𝒢]) is
-controllable, J = Jcl(z*): JP has its spectrum on the imaginary axis, so every mode must be
+With ∇V(z*) = 0 and P = ∇²V(z*) ≻ 0 the damped linearisation is Hurwitz iff (JP, [Rcl 𝒢]ᵀP) is
+observable, J = Jcl(z*): JP has its spectrum on the imaginary axis, so every mode must be
 touched by dissipation or by damping injection. One admissible P for which this holds proves that
 asymptotic stability is within reach. "Only stable" needs a witness that no V can remove: a
 Casimir with 𝒢ᵀ∇C ≡ 0, or a flat family of motions on which damping and dissipation vanish.
@@ -11,18 +11,30 @@ from __future__ import annotations
 
 import random
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import flint
+import numpy as np
 import sympy as sp
 
 from necc_casadi import exact as ex
+from necc_casadi.conditions import at, sparse_hessian
 from necc_casadi.loop import ClosedLoop
-from necc_casadi.specialise import PRIMES, Unspecialised, values
+from necc_casadi.plant import gradient
+from necc_casadi.specialise import (
+    PRIMES,
+    Residues,
+    Unspecialised,
+    ball,
+    null_basis,
+    rational_rows,
+    values,
+)
 
 __all__ = ["reachable_stability"]
 
-_PRIME = PRIMES[0]
-_TRIES = 3
+_BITS = 1000
+_SMALL = 14  # states beyond which a state-dependent kernel is not computed
 
 
 def reachable_stability(
@@ -47,16 +59,29 @@ def reachable_stability(
     silent = _undamped_casimir(loop, functions)
     if silent is not None:
         return "stable", f"the Casimir {silent} is untouched by every input: its value stays"
-    at = _Linearisation(loop, functions, x_star, xi_star, lam)
-    for seed in range(_TRIES):
-        if at.controllable(seed):
-            return "asymptotic", None
-    modes = at.silent_modes()
-    if modes is not None:
+    resting = _equilibrium_manifold(
+        loop, {**x_star, **dict(zip(loop.controller.xi, xi_star, strict=True))}
+    )
+    if resting:
+        return "stable", (
+            f"a {resting}-dimensional family of equilibria passes through the target, for every V: "
+            "ker Jcl ∩ ker Rcl ∩ ker 𝒢ᵀ is not zero"
+        )
+    at_target = _Linearisation(loop, functions, x_star, xi_star, lam)
+    for seed, prime in enumerate(PRIMES):
+        try:
+            if len(at_target.silent_part(prime, (seed,))) == 0 and at_target.confirmed(seed):
+                return "asymptotic", None
+            modes = at_target.silent_modes(prime)
+        except Unspecialised:
+            continue  # a root that occurs does not exist modulo this prime
+        if modes is None:
+            continue
         for plane in [modes, *[modes[:, k] for k in range(modes.cols) if modes.cols > 1]]:
             family = _invariant_family(loop, functions, x_star, xi_star, lam, directions, plane)
             if family is not None:
                 return "stable", family
+        break
     return None, (
         "the linearisation has a mode that neither dissipation nor damping injection touches; "
         "whether nonlinear damping reaches it is not decided"
@@ -75,6 +100,23 @@ def _undamped_casimir(loop: ClosedLoop, functions: Sequence[sp.Expr]) -> sp.Expr
     return None
 
 
+def _equilibrium_manifold(loop: ClosedLoop, z_star: Mapping[sp.Symbol, sp.Expr]) -> int:
+    """Dimension of ker Jcl ∩ ker Rcl ∩ ker 𝒢ᵀ near z*, 0 where it is not proved to be constant.
+
+    The states with ∇V in that kernel are equilibria of every damped loop; because ∇²V ≻ 0 and
+    the kernel's dimension is constant near z*, they form a manifold of that dimension.
+    """
+    still = sp.Matrix.vstack(sp.Matrix(loop.M), sp.Matrix(loop.ports).T)
+    free = still.free_symbols
+    generic = loop.n - ex.generic_rank(still)
+    if generic == 0 or (free and loop.n > _SMALL):
+        return 0
+    there = sp.Matrix(at(still, z_star)) if free else still
+    if free and not ex.has_rank(there, loop.n - generic):
+        return 0
+    return generic if ex.kernel(still).cols == generic else 0
+
+
 class _Linearisation:
     """J, Rcl, 𝒢 and the admissible Hessians at z*, over GF(p): full rank there is a proof.
 
@@ -91,19 +133,16 @@ class _Linearisation:
     ) -> None:
         z_star = {**x_star, **dict(zip(loop.controller.xi, xi_star, strict=True))}
         self.n, self.plant_n = loop.n, loop.plant.n
-        self.J = evaluated(loop.J, z_star)
+        self.J = sp.Matrix(at(loop.J, z_star))
         inputs = sp.Matrix.hstack(sp.Matrix(loop.R), sp.Matrix(loop.ports))
-        self.inputs = evaluated(inputs, z_star)
-        gradients = [
-            [sp.diff(c, s) if s in c.free_symbols else sp.Integer(0) for s in loop.z]
-            for c in functions
-        ]
-        self.grad_c = evaluated(sp.Matrix(gradients).T, z_star) if functions else None
+        self.inputs = sp.Matrix(at(inputs, z_star))
+        gradients = [at(gradient(c, loop.z), z_star) for c in functions]
+        self.grad_c = sp.Matrix.hstack(*gradients) if gradients else None
         weighted = [w * c for w, c in zip(lam, functions, strict=True) if w != 0]
         energy = loop.plant.H + sp.Add(*weighted)
-        self.base = evaluated(hessian(energy, loop.z), z_star)
+        self.base = sp.Matrix(at(sparse_hessian(energy, loop.z), z_star))
 
-    def admissible(self, seed: int) -> sp.Matrix:
+    def hessian(self, seed: int) -> sp.Matrix:
         """A random ∇²V(z*) = ∇²(H + Σλc) + ∇c S ∇cᵀ + ∇²Hc with S and ∇²Hc large and rational."""
         rng = random.Random(seed)
         P = sp.Matrix(self.base)
@@ -114,79 +153,94 @@ class _Linearisation:
         P[self.plant_n :, self.plant_n :] += _random_positive(nc, rng) * 7
         return P
 
-    def controllable(self, seed: int) -> bool:
-        """Whether (JP, [Rcl 𝒢]) is controllable for one admissible P."""
-        return self._reached(self.admissible(seed)) == self.n
+    def silent_part(self, prime: int, seeds: Sequence[int]) -> Residues:
+        """Basis over GF(p) of the motions that neither damping nor dissipation touches.
 
-    def _reached(self, P: sp.Matrix) -> int:
-        """Dimension that the inputs reach, over GF(p): a lower bound of the true one."""
-        try:
-            J, B, modular = (_residues(matrix) for matrix in (self.J, self.inputs, P))
-        except Unspecialised:
-            return 0
-        A = J * modular
-        span, block, reached = B, B, int(B.rank())
-        while True:
-            block = A * block
-            span = _independent(_beside(span, block))
-            block = span
-            size = int(span.rank())
-            if size == reached or size == self.n:
-                return size
-            reached = size
-
-    def silent_modes(self) -> sp.Matrix | None:
-        """Plant directions δx of the motions that neither damping nor dissipation touches, n × k.
-
-        The directions common to two random admissible Hessians, when they leave ξ alone and are
-        rational; None otherwise.
+        The unobservable subspace of (JP, [Rcl 𝒢]ᵀP), common to the random P of all `seeds`. An
+        empty one proves that a P with an observable pair exists.
         """
-        bases = []
-        for seed in (11, 12):
-            P = self.admissible(seed)
-            rows = sp.Matrix(sp.SparseMatrix(self.inputs).T * sp.SparseMatrix(P))
-            A = sp.SparseMatrix(self.J) * sp.SparseMatrix(P)
-            if not all(e.is_Rational for e in [*rows, *A]):
-                return None
-            hidden = ex.kernel(rows)
-            for _ in range(self.n):
-                if hidden.cols == 0:
-                    return None
-                image = sp.Matrix(A) * hidden
-                outside = ex.kernel(hidden.T).T
-                kept = hidden * ex.kernel(outside * image) if outside.rows else hidden
-                if kept.cols == hidden.cols:
-                    break
-                hidden = kept
-            bases.append(hidden)
-        first, second = bases
-        joint = ex.kernel(first.row_join(-second))
-        shared = first * joint[: first.cols, :]
-        if shared.cols == 0 or not shared[self.plant_n :, :].is_zero_matrix:
+        rows = []
+        for seed in seeds:
+            J, B, P = (
+                _residues(matrix, prime) for matrix in (self.J, self.inputs, self.hessian(seed))
+            )
+            rows.append(_observability(J * P, B.transpose() * P, prime))
+        return null_basis(np.concatenate(rows), prime)
+
+    def confirmed(self, seed: int) -> bool:
+        """Whether observability over GF(p) is proved for the real matrices of one P.
+
+        For rational entries full rank over GF(p) is a proof. For others GF(p) may miss a relation
+        between constants, so that Arb balls have to find n certain pivots.
+        """
+        matrices = (self.J, self.inputs, self.hessian(seed))
+        if all(e.is_Rational for matrix in matrices for e in matrix.todok().values()):
+            return True
+        previous, flint.ctx.prec = flint.ctx.prec, _BITS
+        try:
+            J, B, P = (_balls(matrix) for matrix in matrices)
+            return _certain_rank(J * P, B.transpose() * P) == self.n
+        finally:
+            flint.ctx.prec = previous
+
+    def silent_modes(self, prime: int) -> sp.Matrix | None:
+        """Plant directions of the motions that are silent for two random V, n × k, or None."""
+        rows = rational_rows(self.silent_part(prime, (11, 12)), prime)
+        if not rows or any(value != 0 for row in rows for value in row[self.plant_n :]):
             return None
-        return shared[: self.plant_n, :]
+        return sp.Matrix(rows)[:, : self.plant_n].T
 
 
-def hessian(f: sp.Expr, variables: Sequence[sp.Symbol]) -> sp.Matrix:
-    """∇²f; only pairs of variables that occur together are differentiated."""
-    free = f.free_symbols
-    entries: dict[tuple[int, int], sp.Expr] = {}
-    for i, u in enumerate(variables):
-        if u in free:
-            slope = sp.diff(f, u)
-            for j, v in enumerate(variables):
-                if v in slope.free_symbols:
-                    entries[i, j] = sp.diff(slope, v)
-    return sp.Matrix(sp.SparseMatrix(len(variables), len(variables), entries))
+def _observability(A: Any, output: Any, prime: int) -> Residues:
+    """Independent rows that span those of output·Aᵏ, k = 0, 1, …."""
+    span, size = _reduced(output, prime)
+    while True:
+        joined = span.tolist() + (span * A).tolist()
+        entries = [int(v) for row in joined for v in row]
+        larger, rank = _reduced(flint.nmod_mat(len(joined), A.ncols(), entries, prime), prime)
+        if rank == size:
+            table = [[int(v) for v in row] for row in larger.tolist()]
+            return np.array(table, dtype=np.int64).reshape(size, A.ncols())
+        span, size = larger, rank
 
 
-def evaluated(matrix: sp.MatrixBase, point: Mapping[sp.Symbol, sp.Expr]) -> sp.Matrix:
-    """`matrix` at a point."""
-    entries = {}
-    for place, entry in matrix.todok().items():
-        known = {s: point[s] for s in entry.free_symbols}
-        entries[place] = entry.subs(known) if known else entry
-    return sp.Matrix(sp.SparseMatrix(*matrix.shape, entries))
+def _balls(matrix: sp.Matrix) -> Any:
+    known: dict[sp.Expr, Any] = {}
+    return flint.arb_mat(matrix.rows, matrix.cols, [ball(e, known) for e in matrix])
+
+
+def _certain_rank(A: Any, output: Any) -> int:
+    """Number of rows output·Aᵏ that are certainly independent, by elimination with balls."""
+    basis: list[tuple[int, list[Any]]] = []
+    block = output.tolist()
+    while block:
+        fresh = []
+        for candidate in block:
+            row = _eliminated(candidate, basis)
+            sizes = [0.0 if e.contains(0) else float(abs(e).mid()) for e in row]
+            lead = int(np.argmax(sizes))
+            if sizes[lead] > 0:
+                row = [e / row[lead] for e in row]
+                basis.append((lead, row))
+                fresh.append(row)
+        block = (flint.arb_mat(fresh) * A).tolist() if fresh else []
+    return len(basis)
+
+
+def _eliminated(row: list[Any], basis: list[tuple[int, list[Any]]]) -> list[Any]:
+    for column, pivot_row in basis:
+        factor = row[column]
+        if not factor.is_zero():
+            row = [a - factor * b for a, b in zip(row, pivot_row, strict=True)]
+            row[column] = flint.arb(0)
+    return row
+
+
+def _reduced(matrix: Any, prime: int) -> tuple[Any, int]:
+    """Nonzero rows of the reduced echelon form, and their number."""
+    reduced, size = matrix.rref()
+    rows = reduced.tolist()[:size]
+    return flint.nmod_mat(size, matrix.ncols(), [int(v) for row in rows for v in row], prime), size
 
 
 def _random_positive(size: int, rng: random.Random) -> sp.Matrix:
@@ -200,23 +254,9 @@ def _random_positive(size: int, rng: random.Random) -> sp.Matrix:
     return S
 
 
-def _residues(matrix: sp.Matrix) -> object:
-    table = values(list(matrix), 1, prime=_PRIME)[0]
-    return flint.nmod_mat(matrix.rows, matrix.cols, [int(v) for v in table], _PRIME)
-
-
-def _beside(left: object, right: object) -> object:
-    rows = [a + b for a, b in zip(left.tolist(), right.tolist(), strict=True)]  # type: ignore[attr-defined]
-    return flint.nmod_mat(len(rows), len(rows[0]), [int(v) for row in rows for v in row], _PRIME)
-
-
-def _independent(matrix: object) -> object:
-    """The columns' span in reduced form, without the zero columns."""
-    reduced, size = matrix.transpose().rref()  # type: ignore[attr-defined]
-    rows = reduced.tolist()[:size]
-    return flint.nmod_mat(
-        size, len(rows[0]), [int(v) for row in rows for v in row], _PRIME
-    ).transpose()
+def _residues(matrix: sp.Matrix, prime: int) -> Any:
+    table = values(list(matrix), 1, prime=prime)[0]
+    return flint.nmod_mat(matrix.rows, matrix.cols, [int(v) for v in table], prime)
 
 
 def _invariant_family(

@@ -36,6 +36,7 @@ class InputError(NeccError):
     """
 
     def __init__(self, code: str, fault: str, remedy: str) -> None:
+        fault, remedy = " ".join(fault.splitlines()), " ".join(remedy.splitlines())
         super().__init__(f"{fault}\n{remedy}")
         self.code = code
         self.fault = fault

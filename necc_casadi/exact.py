@@ -15,11 +15,13 @@ from functools import lru_cache
 import sympy as sp
 from sympy.polys.matrices import DomainMatrix
 
-from necc_casadi.specialise import Unspecialised, rank, values
+from necc_casadi.specialise import Unspecialised, nullspace, rank, real_rank, values
 
 __all__ = [
     "blocks",
+    "constant_kernel",
     "generic_rank",
+    "has_rank",
     "is_positive_semidefinite",
     "is_zero",
     "kernel",
@@ -31,6 +33,7 @@ __all__ = [
 
 _DIGITS = 40
 _PROBES = 3
+_LONG = 40  # operations of a constant beyond which a shorter form is not sought
 
 
 def random_point(
@@ -40,12 +43,14 @@ def random_point(
 ) -> dict[sp.Symbol, sp.Rational]:
     """Rational values, one per symbol: inside `box` where it names the symbol, else in [-2, 2].
 
+    Symbols that are declared positive stay positive.
     Denominators are primes near 1000, so that a generic property holds there unless unlucky.
     """
     rng = random.Random(seed)
     point = {}
     for symbol in sorted(symbols, key=str):
-        lo, hi = (box or {}).get(symbol, (sp.Integer(-2), sp.Integer(2)))
+        lowest = sp.Rational(1, 8) if symbol.is_positive else sp.Integer(-2)
+        lo, hi = (box or {}).get(symbol, (lowest, sp.Integer(2)))
         lo, hi = sp.Rational(str(sp.N(lo, 17))), sp.Rational(str(sp.N(hi, 17)))
         fraction = sp.Rational(rng.randrange(1, 1009), 1009)
         point[symbol] = sp.Rational(str(sp.N(lo + (hi - lo) * fraction, 8)))
@@ -89,7 +94,9 @@ def is_zero(expr: sp.Expr) -> bool | None:
         return None if value is None else value == 0
     for seed in range(_PROBES):
         value = _probe(expr.subs(random_point(expr.free_symbols, seed)))
-        if value is not None and abs(value) > sp.Float(10) ** (-_DIGITS // 2):
+        if value is None or not _is_small(sp.im(value)):
+            continue  # outside the domain of a root or a logarithm: shows nothing
+        if not _is_small(value):
             return False
     attempts = (sp.expand, normal_form, sp.trigsimp, sp.simplify)
     return True if any(attempt(expr) == 0 for attempt in attempts) else None
@@ -117,7 +124,7 @@ def normal_form(expr: sp.Expr) -> sp.Expr:
     )
     result = sp.expand(sp.numer(sp.together(expr)))
     for cosine, sine in pairs.values():
-        if result.has(sine):
+        if result.has(sine) and result.is_polynomial(sine):
             result = sp.rem(result, sine**2 + cosine**2 - 1, sine)
             result = sp.expand(result)
     return result
@@ -160,14 +167,21 @@ def generic_rank(matrix: sp.Matrix, tries: int = _PROBES) -> int:
     return max(rank(row.reshape(matrix.shape)) for row in table)
 
 
+def has_rank(matrix: sp.Matrix, wanted: int) -> bool:
+    """Whether a constant matrix is proved to have at least rank `wanted`, by Arb balls."""
+    return real_rank(matrix, (), wanted, tries=1)
+
+
+def _is_small(value: sp.Expr) -> bool:
+    return bool(abs(value) < sp.Float(10) ** (-_DIGITS // 2))
+
+
 def _sampled_rank(matrix: sp.Matrix, tries: int) -> int:
     best = 0
     for seed in range(tries):
         value = matrix.subs(random_point(matrix.free_symbols, seed))
         if not value.has(sp.zoo, sp.nan, sp.oo):
-            value = value.evalf(_DIGITS)
-            small = sp.Float(10) ** (-_DIGITS // 2)
-            best = max(best, int(value.rank(iszerofunc=lambda v: bool(abs(v) < small))))
+            best = max(best, int(value.evalf(_DIGITS).rank(iszerofunc=_is_small)))
     return best
 
 
@@ -180,6 +194,12 @@ def kernel(matrix: sp.Matrix) -> sp.Matrix:
     columns = matrix.cols
     if matrix.rows == 0:
         return sp.eye(columns)
+    if not matrix.free_symbols and not all(entry.is_Rational for entry in matrix):
+        used = [j for j in range(columns) if any(entry != 0 for entry in matrix[:, j])]
+        if len(used) <= matrix.rows and has_rank(matrix, len(used)):
+            return sp.eye(columns).extract(
+                list(range(columns)), [j for j in range(columns) if j not in used]
+            )
     rows, leading = reduced_rows(matrix)
     free = [j for j in range(columns) if j not in set(leading)]
     if not free:
@@ -192,6 +212,33 @@ def kernel(matrix: sp.Matrix) -> sp.Matrix:
                 basis[k, lead] = -rows[i, j]
     reduced, _ = reduced_rows(basis)
     return sp.Matrix([_primitive(row) for row in reduced.tolist()]).T
+
+
+def constant_kernel(matrix: sp.Matrix) -> sp.Matrix:
+    """Basis of the constant v with matrix(z)·v ≡ 0, as columns, each one proved.
+
+    Reduced-echelon over the rationals, primitive integers, first nonzero coefficient positive;
+    for a constant matrix the same as :func:`kernel`.
+    """
+    if not matrix.free_symbols:
+        return kernel(matrix)
+    rows = [i for i in range(matrix.rows) if any(e != 0 for e in matrix[i, :])]
+    points = matrix.cols // len(rows) * 2 + 4
+    try:
+        vectors = nullspace(
+            lambda prime: values(list(matrix), points, prime=prime).reshape(-1, matrix.cols), 3
+        )
+    except Unspecialised:
+        vectors = []
+    if not vectors:
+        return sp.zeros(matrix.cols, 0)
+    basis = kernel(kernel(sp.Matrix(vectors)).T)
+    kept = [
+        basis[:, k]
+        for k in range(basis.cols)
+        if all(is_zero(entry) is True for entry in sp.SparseMatrix(matrix) * basis[:, k])
+    ]
+    return sp.Matrix.hstack(*kept) if kept else sp.zeros(matrix.cols, 0)
 
 
 def reduced_rows(matrix: sp.Matrix) -> tuple[sp.Matrix, list[int]]:
@@ -230,7 +277,9 @@ def _tidy(expr: sp.Expr) -> sp.Expr:
     if expr.is_Rational:
         return expr
     if not expr.free_symbols:
-        return sp.Integer(0) if sign(expr) == 0 else sp.radsimp(sp.expand(expr))
+        if sign(expr) == 0:
+            return sp.Integer(0)
+        return sp.radsimp(sp.expand(expr)) if expr.count_ops() < _LONG else expr
     if expr.is_rational_function(*expr.free_symbols):
         return sp.cancel(expr)
     return sp.Integer(0) if is_zero(expr) else sp.factor_terms(sp.trigsimp(sp.cancel(expr)))

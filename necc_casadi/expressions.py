@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import ast
 import keyword
+import math
 import re
 from collections.abc import Callable, Iterable, Mapping
 
@@ -39,7 +40,9 @@ _REWRITTEN = {
     sp.acot: lambda a: sp.atan(1 / a),
 }
 _MAX_EXPONENT = 1000
+_MAX_BITS = 50_000
 _MAX_LENGTH = 2_000_000
+_DECIMAL = re.compile(r"(?:\d+\.?\d*|\.\d+)(?:[eE](?P<exponent>[+-]?\d+))?", re.ASCII)
 _C_WORDS = frozenset(
     [
         "auto",
@@ -98,9 +101,12 @@ def parse(text: str, symbols: Mapping[str, sp.Symbol] | None = None) -> sp.Expr:
         raise ValueError(f"{_shown(source)} is not an expression") from None
     try:
         result: sp.Expr = _convert(tree.body, source, symbols or {})
+        finite = not result.has(sp.zoo, sp.nan, sp.oo, -sp.oo)
     except RecursionError:
         raise ValueError("the expression is nested too deeply") from None
-    if result.has(sp.zoo, sp.nan, sp.oo, -sp.oo):
+    except (ArithmeticError, TypeError):
+        raise ValueError(f"{_shown(source)} cannot be evaluated") from None
+    if not finite:
         raise ValueError(f"{_shown(source)} is not finite")
     return result
 
@@ -111,10 +117,8 @@ def _shown(text: str, limit: int = 60) -> str:
 
 def _convert(node: ast.expr, source: str, symbols: Mapping[str, sp.Symbol]) -> sp.Expr:
     match node:
-        case ast.Constant(value=bool() | str() | bytes() | complex() | None):
-            raise ValueError(f"{_piece(node, source)} is not a number")
         case ast.Constant():
-            return sp.Rational((ast.get_source_segment(source, node) or "").replace("_", ""))
+            return _literal(ast.get_source_segment(source, node) or "")
         case ast.Name(id=name):
             if name in symbols:
                 return symbols[name]
@@ -139,6 +143,16 @@ def _convert(node: ast.expr, source: str, symbols: Mapping[str, sp.Symbol]) -> s
     raise ValueError(f"{_piece(node, source)} is not allowed in an expression")
 
 
+def _literal(text: str) -> sp.Rational:
+    """A decimal literal as the rational that it displays."""
+    digits = _DECIMAL.fullmatch(text.replace("_", ""))
+    if digits is None:
+        raise ValueError(f"{_shown(text)} is not a decimal number")
+    if len(text) > _MAX_EXPONENT or abs(int(digits["exponent"] or 0)) > _MAX_EXPONENT:
+        raise ValueError(f"{_shown(text)} has too many digits")
+    return sp.Rational(digits[0])
+
+
 def _piece(node: ast.expr, source: str) -> str:
     return _shown(ast.get_source_segment(source, node) or source)
 
@@ -158,8 +172,16 @@ def _binary(op: ast.operator, left: sp.Expr, right: sp.Expr, piece: str) -> sp.E
         case ast.Pow():
             if right.is_number and abs(right) > _MAX_EXPONENT:
                 raise ValueError(f"the exponent in {piece} is larger than {_MAX_EXPONENT}")
+            if right.is_number and abs(right) * _bits(left) > _MAX_BITS:
+                raise ValueError(f"the numbers in {piece} grow too long")
             return left**right
     raise ValueError(f"{piece} uses an operator that is not allowed")
+
+
+def _bits(expr: sp.Expr) -> int:
+    """Length of the longest number in `expr`, which a power multiplies."""
+    numbers = expr.atoms(sp.Rational)
+    return max((int(part).bit_length() for v in numbers for part in (v.p, v.q)), default=0)
 
 
 def to_text(expr: sp.Expr) -> str:
@@ -170,6 +192,8 @@ def to_text(expr: sp.Expr) -> str:
 def exact(expr: sp.Expr) -> sp.Expr:
     """`expr` with decimals as the rationals they display, and cot, sec, … rewritten."""
     expr = sp.sympify(expr)
+    if not isinstance(expr, sp.Basic):
+        raise TypeError(f"{expr!r} is not an expression")
     floats = {f: sp.Rational(repr(float(f))) for f in expr.atoms(sp.Float)}
     if floats:
         expr = expr.xreplace(floats)
@@ -228,5 +252,14 @@ def parse_number(text: str, what: str, code: str, error: type[InputError]) -> sp
     except ValueError as problem:
         raise error(code, f"{what}: {problem}", remedy) from None
     if not value.is_number or value.is_real is not True:
-        raise error(code, f"{what}: {text.strip()!r} is not a real number", remedy)
+        raise error(code, f"{what}: {_shown(text.strip())} is not a real number", remedy)
+    if not _fits_double(value):
+        raise error(code, f"{what}: {_shown(text.strip())} is too large for a double", remedy)
     return value
+
+
+def _fits_double(value: sp.Expr) -> bool:
+    try:
+        return math.isfinite(float(sp.N(value, 20)))
+    except (ArithmeticError, TypeError, ValueError):
+        return False

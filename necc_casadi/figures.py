@@ -16,10 +16,19 @@ from necc_casadi.artifact import Design, write_text
 from necc_casadi.networks import Vector
 from necc_casadi.simulation import Trajectory, domain_box
 
-__all__ = ["SweepPoint", "lyapunov_figure", "responses_figure", "sweep_figure", "write_figure"]
+__all__ = [
+    "SweepPoint",
+    "lyapunov_figure",
+    "region_boundary",
+    "region_figure",
+    "responses_figure",
+    "sweep_figure",
+    "write_figure",
+]
 
 _INK, _TARGET, _MINIMUM = "#1f4e79", "#d9730d", "#2e7d32"
 _GRID = 81
+_MOST_PANELS = 10
 
 
 @dataclass(frozen=True)
@@ -70,14 +79,7 @@ def _telling_pair(design: Design) -> tuple[int, int]:
 def lyapunov_figure(design: Design) -> Figure:
     """V over two coordinates through ξ*, as a surface and as contours, with both minima marked."""
     i, j = _telling_pair(design)
-    lo, hi = domain_box(design)
-    a, b = np.linspace(lo[i], hi[i], _GRID), np.linspace(lo[j], hi[j], _GRID)
-    A, B = np.meshgrid(a, b)
-    points = np.repeat(design.z_star[:, None], A.size, axis=1)
-    points[i], points[j] = A.ravel(), B.ravel()
-    values = np.asarray(design.lyapunov.V.map(A.size)(points), float).reshape(A.shape)
-    values = values - design.V(design.z_bar)
-    star, bar = design.z_star, design.z_bar
+    A, B, values = _slice(design, i, j)
 
     figure = Figure(figsize=(10, 4.4), layout="constrained")
     figure.suptitle(f"{design.loop.plant.name}: Lyapunov function at ξ = ξ*")
@@ -92,12 +94,75 @@ def lyapunov_figure(design: Design) -> Figure:
     flat = figure.add_subplot(1, 2, 2)
     lines = flat.contour(A, B, values, levels=_levels(values), cmap="viridis")
     flat.clabel(lines, fontsize=7, fmt="%.2g")
-    flat.plot(star[i], star[j], "o", ms=11, mfc="none", mew=2, color=_TARGET, label="target z*")
-    flat.plot(bar[i], bar[j], "+", ms=11, mew=2, color=_MINIMUM, label="minimum z̄ of V")
-    flat.set_xlabel(_label(design, i))
-    flat.set_ylabel(_label(design, j))
+    _mark_minima(design, flat, i, j)
     flat.legend(loc="upper right", framealpha=0.9)
     flat.set_title("contours of V − V(z̄)", fontsize=10)
+    return figure
+
+
+def _slice(design: Design, i: int, j: int) -> tuple[Vector, Vector, Vector]:
+    """Grid over coordinates i and j of the domain, and V − V(z̄) there, the others at z*."""
+    lo, hi = domain_box(design)
+    A, B = np.meshgrid(np.linspace(lo[i], hi[i], _GRID), np.linspace(lo[j], hi[j], _GRID))
+    points = np.repeat(design.z_star[:, None], A.size, axis=1)
+    points[i], points[j] = A.ravel(), B.ravel()
+    values = np.asarray(design.lyapunov.V.map(A.size)(points), float).reshape(A.shape)
+    return A, B, values - design.V(design.z_bar)
+
+
+def _mark_minima(design: Design, axis: Axes, i: int, j: int) -> None:
+    """Target and minimum of V, axis labels."""
+    star, bar = design.z_star, design.z_bar
+    axis.plot(star[i], star[j], "o", ms=11, mfc="none", mew=2, color=_TARGET, label="target z*")
+    axis.plot(bar[i], bar[j], "+", ms=11, mew=2, color=_MINIMUM, label="minimum z̄ of V")
+    axis.set_xlabel(_label(design, i))
+    axis.set_ylabel(_label(design, j))
+
+
+def region_boundary(design: Design, level: float, count: int = 12) -> list[Vector]:
+    """Plant states on the boundary of {V ≤ level} in the plane that the figures show, ξ = ξ*."""
+    i, j = _telling_pair(design)
+    path = _around_minimum(design, level, i, j)
+    if path is None:
+        return []
+    states = np.repeat(design.z_star[None, :], count, axis=0)
+    states[:, [i, j]] = path[np.linspace(0, len(path) - 1, count, endpoint=False).astype(int)]
+    return list(states[:, : design.loop.plant.n])
+
+
+def _around_minimum(design: Design, level: float, i: int, j: int) -> Vector | None:
+    """The closed curve V = level around z̄ in the plane of coordinates i and j, (k, 2)."""
+    from matplotlib.path import Path as Curve
+
+    A, B, values = _slice(design, i, j)
+    lines = Figure().add_subplot().contour(A, B, values, levels=[level - design.V(design.z_bar)])
+    for segment in lines.allsegs[0]:
+        curve = np.asarray(segment, float)
+        closed = len(curve) > 3 and np.array_equal(curve[0], curve[-1])
+        if closed and Curve(curve).contains_point((design.z_bar[i], design.z_bar[j])):
+            return curve
+    return None
+
+
+def region_figure(design: Design, level: float, responses: Sequence[Trajectory]) -> Figure:
+    """The proved region {V ≤ level} over V's contours, with responses from its boundary."""
+    i, j = _telling_pair(design)
+    A, B, values = _slice(design, i, j)
+    top = level - design.V(design.z_bar)
+    figure = Figure(figsize=(6.4, 5.2), layout="constrained")
+    axis = figure.add_subplot()
+    axis.contour(A, B, values, levels=_levels(values), cmap="viridis", linewidths=0.7, alpha=0.6)
+    curve = _around_minimum(design, level, i, j)
+    if curve is not None:
+        axis.fill(curve[:, 0], curve[:, 1], color=_MINIMUM, alpha=0.12)
+        axis.plot(*curve.T, color=_MINIMUM, lw=2, label=f"proved: V − V(z̄) ≤ {top:.3g}")
+    for index, response in enumerate(responses):
+        label = "simulated from the boundary, ξ(0) = ξ*" if index == 0 else None
+        axis.plot(response.z[:, i], response.z[:, j], lw=0.9, color=_INK, label=label)
+        axis.plot(response.z[0, i], response.z[0, j], ".", color=_INK)
+    _mark_minima(design, axis, i, j)
+    figure.legend(loc="outside lower center", ncols=2, fontsize=8)
+    axis.set_title(f"{design.loop.plant.name}: proved region at ξ = ξ*", fontsize=11)
     return figure
 
 
@@ -110,24 +175,25 @@ def _levels(values: Vector) -> Vector:
 
 def responses_figure(design: Design, trajectories: Sequence[Trajectory]) -> Figure:
     """Every state and input over time, targets dashed, and V along the responses."""
-    names = [_label(design, k) for k in range(len(design.loop.states))]
-    inputs = design.loop.plant.m
+    shown = _telling_states(design, trajectories)
+    names = [_label(design, k) for k in shown]
+    inputs = min(design.loop.plant.m, _MOST_PANELS)
     panels = len(names) + inputs + 1
     columns = min(3, panels)
     rows = -(-panels // columns)
     figure = Figure(figsize=(3.6 * columns, 2.1 * rows + 0.5), layout="constrained")
-    figure.suptitle(f"{design.loop.plant.name}: closed-loop responses")
+    total = len(design.loop.states)
+    left_out = f" ({len(shown)} of {total} states)" if len(shown) < total else ""
+    figure.suptitle(f"{design.loop.plant.name}: closed-loop responses{left_out}")
     axes = figure.subplots(rows, columns, squeeze=False, sharex=True).ravel()
     steady, _ = design.control(
         design.z_bar[: design.loop.plant.n], design.z_bar[design.loop.plant.n :]
     )
     for k, axis in enumerate(axes[:panels]):
         for response in trajectories:
-            axis.plot(
-                response.t, _panel(response, k, len(names), inputs), lw=0.9, color=_INK, alpha=0.7
-            )
+            axis.plot(response.t, _panel(response, k, shown, inputs), lw=0.9, color=_INK, alpha=0.7)
         if k < len(names):
-            axis.axhline(design.z_star[k], ls="--", lw=1, color=_TARGET)
+            axis.axhline(design.z_star[shown[k]], ls="--", lw=1, color=_TARGET)
             axis.set_ylabel(names[k])
         elif k < len(names) + inputs:
             axis.axhline(steady[k - len(names)], ls="--", lw=1, color=_TARGET)
@@ -143,11 +209,20 @@ def responses_figure(design: Design, trajectories: Sequence[Trajectory]) -> Figu
     return figure
 
 
-def _panel(response: Trajectory, k: int, states: int, inputs: int) -> Vector:
-    if k < states:
-        return response.z[:, k]
-    if k < states + inputs:
-        return response.u[:, k - states]
+def _telling_states(design: Design, trajectories: Sequence[Trajectory]) -> list[int]:
+    """All states where they fit, else those that travel farthest, in order."""
+    total = len(design.loop.states)
+    if total <= _MOST_PANELS or not trajectories:
+        return list(range(min(total, _MOST_PANELS)))
+    travel = np.max([np.ptp(response.z, axis=0) for response in trajectories], axis=0)
+    return sorted(int(k) for k in np.argsort(-travel)[:_MOST_PANELS])
+
+
+def _panel(response: Trajectory, k: int, shown: list[int], inputs: int) -> Vector:
+    if k < len(shown):
+        return response.z[:, shown[k]]
+    if k < len(shown) + inputs:
+        return response.u[:, k - len(shown)]
     return np.maximum(response.V - response.V_bar, 1e-14)
 
 

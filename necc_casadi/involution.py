@@ -45,7 +45,7 @@ def closure(M: sp.Matrix, z: Sequence[sp.Symbol], largest: int) -> tuple[list[Fi
     span a part of the closure only.
     """
     columns = [tuple(M[:, j]) for j in range(M.cols)]
-    columns.sort(key=lambda f: (any(e.free_symbols for e in f), sum(e.count_ops() for e in f)))
+    columns.sort(key=lambda f: (not constant(f), sum(e.count_ops() for e in f)))
     try:
         kept = _independent(columns)
         tried: set[tuple[int, int]] = set()
@@ -54,6 +54,7 @@ def closure(M: sp.Matrix, z: Sequence[sp.Symbol], largest: int) -> tuple[list[Fi
             if not fresh:
                 return kept, True
             tried.update(fresh)
+            fresh = [(i, j) for i, j in fresh if not (constant(kept[i]) and constant(kept[j]))]
             brackets = [lie_bracket(kept[i], kept[j], z) for i, j in fresh]
             brackets = [b for b in brackets if any(e != 0 for e in b)]
             brackets.sort(key=lambda b: sum(e.count_ops() for e in b))
@@ -66,6 +67,11 @@ def closure(M: sp.Matrix, z: Sequence[sp.Symbol], largest: int) -> tuple[list[Fi
     except Unspecialised:
         return [], False
     return kept, True
+
+
+def constant(f: Field) -> bool:
+    """Whether a field does not depend on the state: two such fields commute."""
+    return not any(e.free_symbols for e in f)
 
 
 def _independent(fields: Sequence[Field]) -> list[Field]:

@@ -79,7 +79,7 @@ def load_model(path: str | Path, overrides: Mapping[str, str] | None = None) -> 
     except (TypeError, ValueError, AttributeError, KeyError, IndexError) as problem:
         raise ModelError(
             "model_file",
-            f"{path.name}: a name has a value of the wrong kind ({problem})",
+            f"{path.name}: a name has a value of the wrong kind ({' '.join(str(problem).split())})",
             "Compare it with examples/pendulum.py.",
         ) from None
 
@@ -127,11 +127,18 @@ def _build(path: Path, space: dict[str, Any], overrides: Mapping[str, str]) -> M
             return value.applyfunc(lambda entry: exact(entry).xreplace(values))
         if isinstance(value, (list, tuple, np.ndarray)):
             return [read(entry) for entry in value]
-        return exact(sp.sympify(value)).xreplace(values)
+        expr = exact(value)
+        return expr.xreplace({s: values.get(s, _real(s)) for s in expr.free_symbols})
+
+    def attempt(value: Any) -> Any:
+        try:
+            return read(value)
+        except (TypeError, ValueError, AttributeError):
+            return value  # make_plant names it and says what would work
 
     plant = make_plant(
         [_real(s) for s in states],
-        *(read(space[key]) for key in ("J", "R", "G", "H")),
+        *(attempt(space[key]) for key in ("J", "R", "G", "H")),
         name=str(space.get("name", path.stem)),
         units={str(key): str(unit) for key, unit in dict(space.get("units", {})).items()},
         u_limits=_limits(space.get("u_limits"), read),
@@ -189,7 +196,11 @@ def _substitutions(
                 "Rename one of them.",
             )
         text = overrides.get(name)
-        number = parse_number(text, f"--param {name}", "param", ModelError) if text else value
+        number = (
+            parse_number(text, f"--param {name}", "param", ModelError)
+            if text is not None
+            else value
+        )
         number = exact(sp.sympify(number))
         if not number.is_number or number.is_real is not True:
             raise ModelError(
@@ -224,7 +235,7 @@ def _limits(value: Any, read: Any) -> list[tuple[float, float]] | None:
     if value is None:
         return None
     result = []
-    for index, pair in enumerate(value):
+    for index, pair in enumerate(value if isinstance(value, (list, tuple)) else [value]):
         try:
             lo, hi = (float(read(bound)) for bound in pair)
         except (TypeError, ValueError):
@@ -251,8 +262,8 @@ def _domain(
             )
         try:
             lo, hi = (read(bound) for bound in bounds)
-            ordered = bool(lo < hi)
-        except (TypeError, ValueError):
+            ordered = bool(lo < hi) and bool(lo.is_finite and hi.is_finite)
+        except (TypeError, ValueError, AttributeError):
             ordered = False
         if not ordered:
             raise ModelError(
@@ -293,7 +304,7 @@ def damping_matrix(
     """
     numbers = np.atleast_1d(np.squeeze(np.asarray(value, float)))
     if numbers.size == 1:
-        matrix = float(numbers.ravel()[0]) * np.eye(m)
+        matrix = np.diag(np.full(m, numbers.ravel()[0]))
     elif numbers.shape == (m,):
         matrix = np.diag(numbers)
     else:

@@ -17,7 +17,7 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["ACTIVATIONS", "MonotonePhi", "Network", "Vector"]
+__all__ = ["ACTIVATIONS", "KAPPA_MIN", "MonotonePhi", "Network", "Vector"]
 
 Vector = npt.NDArray[np.float64]
 
@@ -117,12 +117,11 @@ class Network:
             parts += [np.ones(self.inputs), np.full(self.inputs, _CENTER_COST)]
         return np.concatenate(parts)
 
-    @property
-    def lower(self) -> Vector:
-        """Lower bounds of the weights of f̂: κ stays positive."""
+    def lower(self, kappa: float) -> Vector:
+        """Lower bounds of the weights of f̂: κ stays above `kappa` > 0."""
         lower = np.full(self.size, -np.inf)
         if self.quadratic:
-            lower[-2 * self.inputs : -self.inputs] = KAPPA_MIN
+            lower[-2 * self.inputs : -self.inputs] = kappa
         return lower
 
     def __call__(self, weights: ca.MX, v: ca.MX) -> ca.MX:
@@ -179,8 +178,7 @@ class MonotonePhi:
         """Relative cost of changing each weight in training."""
         return np.repeat([1.0, _HIDDEN_COST, _HIDDEN_COST, _HIDDEN_COST], self.hidden)
 
-    @property
-    def lower(self) -> Vector:
+    def lower(self, kappa: float) -> Vector:
         """Lower bounds of the weights: none."""
         return np.full(self.size, -np.inf)
 

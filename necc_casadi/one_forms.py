@@ -6,11 +6,14 @@ The separable form of the paper is the special case v = F with Fᵢ a function o
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from functools import lru_cache
 
 import sympy as sp
 from sympy.integrals.manualintegrate import manualintegrate
+from sympy.integrals.rationaltools import ratint
 
 from necc_casadi import exact as ex
+from necc_casadi.expressions import exact, non_smooth_part
 from necc_casadi.loop import ClosedLoop
 
 __all__ = ["integrated_kernel", "primitive"]
@@ -21,19 +24,61 @@ _MOST_OPERATIONS = 400
 
 def primitive(f: sp.Expr, s: sp.Symbol) -> sp.Expr | None:
     """A closed-form antiderivative of `f` in `s`, or None."""
-    if s not in f.free_symbols:
+    coefficient, integrand = f.as_independent(s, as_Add=False)
+    if integrand == 1:
         return f * s
-    if f.count_ops() > _MOST_OPERATIONS:
+    result = _antiderivative(integrand, s)
+    return None if result is None else coefficient * result
+
+
+@lru_cache(maxsize=512)
+def _antiderivative(f: sp.Expr, s: sp.Symbol) -> sp.Expr | None:
+    if f.count_ops() > _MOST_OPERATIONS or _rarely_elementary(f, s):
         return None
     try:
-        result = manualintegrate(f, s)
-    except (RecursionError, NotImplementedError, ValueError, TypeError, AttributeError):
+        result = _rational_primitive(f, s)
+        if result is None:
+            result = manualintegrate(_with_secants(f), s)
+    except (RecursionError, NotImplementedError, ValueError, TypeError):
         return None  # sympy's rules do not cover this integrand
-    if result.has(sp.Integral, sp.Piecewise, sp.I, sp.zoo, sp.nan) or result.atoms(
-        sp.Function
-    ) & set(result.atoms(sp.erf, sp.Si, sp.Ci)):
+    result = exact(result.replace(sp.Abs, lambda a: a))
+    unusable = result.has(sp.Integral, sp.I, sp.zoo, sp.nan) or non_smooth_part(result) is not None
+    return None if unusable else result
+
+
+def _rarely_elementary(f: sp.Expr, s: sp.Symbol) -> bool:
+    """Mixtures such as s/sin(s) or sqrt(s)·exp(s), on which sympy's rules would search for long."""
+    functions = [g for g in f.atoms(sp.Function) if g.has(s)]
+    if not functions:
+        return False
+    rest = f.xreplace({g: sp.Dummy() for g in functions})
+    powers = [e for e in f.atoms(sp.Pow) if e.base.has(s)]
+    divided = any(e.exp.is_negative and e.base.atoms(sp.Function) for e in powers)
+    return (divided and rest.has(s)) or any(not e.exp.is_Integer for e in powers)
+
+
+def _with_secants(f: sp.Expr) -> sp.Expr:
+    """1/cos and 1/sin as sec and csc, for which sympy has rules."""
+    for function, reciprocal in ((sp.cos, sp.sec), (sp.sin, sp.csc)):
+        f = f.replace(
+            lambda e, function=function: (
+                e.is_Pow and isinstance(e.base, function) and e.exp.is_Integer and e.exp < 0
+            ),
+            lambda e, reciprocal=reciprocal: reciprocal(e.base.args[0]) ** -e.exp,
+        )
+    return f
+
+
+def _rational_primitive(f: sp.Expr, s: sp.Symbol) -> sp.Expr | None:
+    if not f.is_rational_function(s):
         return None
-    return result.replace(sp.Abs, lambda a: a)
+    powers = sp.factor(f)
+    coefficient, rest = powers.as_independent(s, as_Add=False)
+    base, exponent = rest.as_base_exp()
+    slope = sp.diff(base, s)
+    if not slope.has(s) and slope != 0 and exponent != -1:
+        return coefficient * base ** (exponent + 1) / (slope * (exponent + 1))
+    return ratint(f, s)
 
 
 def integrated_kernel(loop: ClosedLoop) -> list[sp.Expr]:
@@ -57,6 +102,7 @@ def integrated_kernel(loop: ClosedLoop) -> list[sp.Expr]:
 def _scalings(v: Sequence[sp.Expr], z: Sequence[sp.Symbol]) -> Iterable[list[sp.Expr]]:
     """V times simple integrating factors."""
     yield list(v)
+    yield from _separated(v, z)
     for entry in v:
         if entry.free_symbols:
             yield [sp.cancel(e / entry) if e != 0 else e for e in v]
@@ -64,7 +110,24 @@ def _scalings(v: Sequence[sp.Expr], z: Sequence[sp.Symbol]) -> Iterable[list[sp.
     for i, s in enumerate(z):
         factor = _single_variable_factor(v, z, i)
         if factor is not None and factor.free_symbols <= {s}:
-            yield [sp.simplify(factor * e) for e in v]
+            yield [sp.cancel(factor * e) for e in v]
+
+
+def _separated(v: Sequence[sp.Expr], z: Sequence[sp.Symbol]) -> Iterable[list[sp.Expr]]:
+    """The separable form of the paper: αv = F with Fᵢ a function of zᵢ alone.
+
+    If αvⱼ = Fⱼ(zⱼ) with α a function of zᵢ, then 1/α is vⱼ at any fixed zⱼ, up to a constant.
+    """
+    for i, s in enumerate(z):
+        if v[i] == 0:
+            continue
+        scaled = [sp.cancel(e / v[i]) if e != 0 else e for e in v]
+        for entry in scaled:
+            others = entry.free_symbols - {s}
+            for value in (0, 1) if s in entry.free_symbols and others else ():
+                slice_ = entry.subs(dict.fromkeys(others, value))
+                if slice_ != 0 and not slice_.has(sp.zoo, sp.nan, sp.oo):
+                    yield [sp.cancel(e / slice_) if e != 0 else e for e in scaled]
 
 
 def _single_variable_factor(v: Sequence[sp.Expr], z: Sequence[sp.Symbol], i: int) -> sp.Expr | None:
@@ -73,7 +136,7 @@ def _single_variable_factor(v: Sequence[sp.Expr], z: Sequence[sp.Symbol], i: int
     for j, other in enumerate(v):
         if j == i or other == 0:
             continue
-        value = sp.simplify((sp.diff(v[i], z[j]) - sp.diff(other, z[i])) / other)
+        value = sp.cancel((sp.diff(v[i], z[j]) - sp.diff(other, z[i])) / other)
         if not value.free_symbols <= {z[i]} or (
             rate is not None and ex.is_zero(value - rate) is not True
         ):
@@ -96,7 +159,7 @@ def potential(w: Sequence[sp.Expr], z: Sequence[sp.Symbol]) -> sp.Expr | None:
         rest = slope - sp.diff(c, s)
         if rest == 0:
             continue
-        part = primitive(sp.simplify(rest), s)
+        part = primitive(sp.cancel(rest), s)
         if part is None:
             return None
         c += part

@@ -5,8 +5,9 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import os
+import re
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -22,15 +23,25 @@ from necc_casadi.errors import OptionError, OutputError
 from necc_casadi.figures import (
     SweepPoint,
     lyapunov_figure,
+    region_boundary,
+    region_figure,
     responses_figure,
     sweep_figure,
     write_figure,
 )
+from necc_casadi.loop import interconnect
 from necc_casadi.model_file import Model, damping_matrix, load_model
 from necc_casadi.report import Findings, design_block
+from necc_casadi.sampling import check_model_at
 from necc_casadi.simulation import random_states, simulate
+from necc_casadi.structures import suggest_controllers
 from necc_casadi.synthesis import Options, design, paper_options
-from necc_casadi.target import free_coordinates, parse_target, target_from_model
+from necc_casadi.target import (
+    free_coordinates,
+    nearest_equilibrium,
+    parse_target,
+    target_from_model,
+)
 
 __all__ = ["Request", "run_design"]
 
@@ -56,8 +67,12 @@ class Request:
     controller_damping: tuple[float, ...] | None = None
     plots: bool = True
     sweep_a: tuple[float, float, int] | None = None
+    structure: str | None = None  # name of a controller structure that the tool offers
     real: str = "double"
     sample_time: float | None = None
+    integrator: str = "heun"
+    fmu: bool = False
+    mex: bool = False
 
 
 def run_design(request: Request, say: Say) -> Findings:
@@ -75,13 +90,22 @@ def run_design(request: Request, say: Say) -> Findings:
     model = load_model(request.model, _parameters(request.param))
     options = _options(request, model)
     x_star = _target(model, request.target)
+    check_model_at(model.loop, x_star)
+    if request.structure is not None:
+        model = _with_structure(model, request.structure, x_star)
     say("finding Casimirs")
     casimirs = find_casimirs(model.loop, model.casimirs, x_star)
     say("judging the target")
     verdict = judge(model.loop, casimirs, x_star)
     found = Findings(model.loop, x_star, casimirs, verdict, notes=_notes(model, casimirs))
+    if verdict.reason == "not_an_equilibrium":
+        found.notes += _nearest(model, x_star)
+    if request.structure is None and not (verdict.assignable and verdict.stability == "asymptotic"):
+        say("searching for a controller structure that helps")
+        found.notes += _offers(model, x_star)
     found.timings["symbolic"] = time.perf_counter() - began
-    if verdict.assignable and not request.check:
+    learning = options.learn_casimir and verdict.assignable is not False
+    if (verdict.assignable or learning) and not request.check:
         _Making(request, model, casimirs, verdict, options, found, say).everything()
     return found
 
@@ -163,20 +187,37 @@ class _Making:
             self.found.responses = [simulate(made, x0) for x0 in states]
 
     def export(self, made: Design, certificate: Certificate) -> None:
-        """The C controller."""
-        from necc_casadi.export import export_c
+        """The C controller, and what was asked for around it."""
+        from necc_casadi.export import export_c, export_fmu, export_mex
 
+        request, out = self.request, self.request.out
+        common: dict[str, Any] = {
+            "real": request.real,
+            "sample_time": request.sample_time,
+            "integrator": request.integrator,
+            "certificate_hash": hashlib.sha256(certificate.to_json().encode()).hexdigest(),
+            "claims": [claim.statement for claim in certificate.claims if claim.holds],
+        }
         with self.stage("export", "writing the C controller"):
-            paths = export_c(
-                made,
-                self.request.out / "c",
-                real=self.request.real,
-                sample_time=self.request.sample_time,
-                certificate_hash=hashlib.sha256(certificate.to_json().encode()).hexdigest(),
-                claims=[claim.statement for claim in certificate.claims if claim.holds],
-            )
+            paths = export_c(made, out / "c", **common)
+            if request.fmu:
+                name = re.sub(r"\W", "_", request.model.stem)
+                paths.append(export_fmu(made, out / f"{name}.fmu", **common))
+            if request.mex:
+                paths.append(export_mex(made, out / "matlab" / "necc_control.c"))
         for path in paths:
             self.wrote(path)
+        if request.sample_time is not None:
+            self.sample(made, request.sample_time)
+
+    def sample(self, made: Design, sample_time: float) -> None:
+        """The sampled loop at the sample time that was asked for."""
+        from necc_casadi.export import analyse_sampling
+
+        sampling = analyse_sampling(made, sample_time, self.request.integrator)
+        self.found.sampling = sampling
+        if sampling.warning is not None:
+            self.found.notes.append(sampling.warning)
 
     def sweep(self, values: tuple[float, float, int]) -> None:
         """One design for each value of a, in the same form."""
@@ -205,6 +246,10 @@ class _Making:
                 "lyapunov": lyapunov_figure(made),
                 "responses": responses_figure(made, found.responses),
             }
+            level = found.certificate.level if found.certificate else None
+            if level is not None:
+                starts = region_boundary(made, level)
+                figures["region"] = region_figure(made, level, [simulate(made, s) for s in starts])
             if found.sweep:
                 figures["sweep"] = sweep_figure(made, found.sweep)
             for name, figure in figures.items():
@@ -215,6 +260,42 @@ class _Making:
         self.found.files.append(path.relative_to(self.request.out).as_posix())
 
 
+def _with_structure(model: Model, name: str, x_star: Mapping[sp.Symbol, sp.Expr]) -> Model:
+    """The model with one of the offered controller structures in place of its own.
+
+    Raises
+    ------
+    OptionError
+        Where no structure of that name helps at this target; the offered ones are listed.
+    """
+    offers = suggest_controllers(model.loop.plant, x_star)
+    for label, controller, _ in offers:
+        if _word(label) == name:
+            return replace(model, loop=interconnect(model.loop.plant, controller), casimirs=())
+    raise OptionError(
+        "usage",
+        f"--structure {name}: no such structure helps at this target",
+        f"Offered here: {', '.join(_word(label) for label, _, _ in offers) or 'none'}.",
+    )
+
+
+def _offers(model: Model, x_star: Mapping[sp.Symbol, sp.Expr]) -> list[str]:
+    """What `--structure` would change, one note per structure."""
+    notes = []
+    for label, _, verdict in suggest_controllers(model.loop.plant, x_star):
+        reach = "assignable" if verdict.assignable else "undecided"
+        stability = f", {verdict.stability}" if verdict.stability else ""
+        notes.append(
+            f"with a {label} the target is {reach}{stability}: add --structure {_word(label)}"
+        )
+    return notes
+
+
+def _word(label: str) -> str:
+    """The option value for a structure: ``copy of the kinematics …`` -> ``copy``."""
+    return label.split()[0]
+
+
 def _parameters(texts: Sequence[str]) -> dict[str, str]:
     result = {}
     for text in texts:
@@ -223,6 +304,16 @@ def _parameters(texts: Sequence[str]) -> dict[str, str]:
             raise OptionError("param", f"--param {text} is not NAME=VALUE", "Write --param k=4.")
         result[name.strip()] = value
     return result
+
+
+def _nearest(model: Model, x_star: dict[sp.Symbol, sp.Expr]) -> list[str]:
+    """An equilibrium near a target that is none."""
+    plant = model.loop.plant
+    nearest = nearest_equilibrium(plant, x_star)
+    if nearest is None:
+        return []
+    values = ",".join(f"{s}={v:.6g}" for s, v in zip(plant.states, nearest, strict=True))
+    return [f"the nearest equilibrium that was found: {values}"]
 
 
 def _target(model: Model, text: str | None) -> dict[sp.Symbol, sp.Expr]:

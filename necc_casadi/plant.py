@@ -13,7 +13,7 @@ from necc_casadi import exact as ex
 from necc_casadi.errors import ModelError
 from necc_casadi.expressions import FUNCTIONS, exact, non_smooth_part
 
-__all__ = ["Plant", "Property", "gradient", "make_plant", "sample_property"]
+__all__ = ["Plant", "Property", "gradient", "make_plant"]
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,9 @@ class Plant:
         """G⊥(J − R)∇H, the residuals that no constant input can cancel; zero ones dropped."""
         annihilator = ex.kernel(sp.Matrix(self.G.T)).T
         residual = annihilator * ((self.J - self.R) * self.grad_H)
-        equations = (sp.numer(sp.together(sp.simplify(row))) for row in residual)
+        # simplify() is slow, and polynomials do not need it
+        tidied = (sp.expand(row) if row.is_polynomial() else sp.simplify(row) for row in residual)
+        equations = (sp.numer(sp.together(row)) for row in tidied)
         return tuple(row for row in equations if row != 0)
 
     def holding_input(self, x_star: Mapping[sp.Symbol, sp.Expr]) -> sp.Matrix:
@@ -78,8 +80,12 @@ class Plant:
 
 
 def gradient(f: sp.Expr, variables: Sequence[sp.Symbol]) -> sp.ImmutableMatrix:
-    """∇f as a column, len(variables) × 1."""
-    return sp.ImmutableMatrix([sp.diff(f, v) for v in variables])
+    """∇f as a column, len(variables) × 1; a term costs only the variables that it contains."""
+    slopes: dict[sp.Symbol, list[sp.Expr]] = {v: [] for v in variables}
+    for term in sp.Add.make_args(f):
+        for v in term.free_symbols & slopes.keys():
+            slopes[v].append(sp.diff(term, v))
+    return sp.ImmutableMatrix([sp.Add(*terms) for terms in slopes.values()])
 
 
 def make_plant(
@@ -141,14 +147,13 @@ def make_plant(
 
 
 def _hamiltonian(H: sp.Expr, x: tuple[sp.Symbol, ...]) -> sp.Expr:
+    remedy = "H must be one scalar expression of the states."
     if isinstance(H, sp.MatrixBase):
         if H.shape != (1, 1):
-            raise ModelError(
-                "h_not_scalar",
-                f"H is a {H.rows}×{H.cols} matrix",
-                "H must be one scalar expression of the states.",
-            )
+            raise ModelError("h_not_scalar", f"H is a {H.rows}×{H.cols} matrix", remedy)
         H = H[0, 0]
+    if not isinstance(H, (sp.Expr, int, float)) or isinstance(H, bool):
+        raise ModelError("h_not_scalar", f"H = {H} is not a scalar expression", remedy)
     H = scalar_entry(H, "H", x)
     if not H.free_symbols:
         raise ModelError(
@@ -266,7 +271,7 @@ def check_skew(J: sp.Matrix, label: str, code: str) -> Property:
 
 
 def check_psd(R: sp.Matrix, label: str, code_symmetric: str, code_psd: str) -> Property:
-    """Decide R = Rᵀ ⪰ 0; undecided definiteness is left to :func:`sample_property`."""
+    """Decide R = Rᵀ ⪰ 0; what is undecided is sampled once the target is known."""
     proved = True
     for i in range(R.rows):
         for j in range(i):
@@ -281,19 +286,20 @@ def check_psd(R: sp.Matrix, label: str, code_symmetric: str, code_psd: str) -> P
             proved = proved and verdict is True
     verdict = ex.is_positive_semidefinite(sp.Matrix(R))
     if verdict is False:
-        raise ModelError(code_psd, *_not_psd(R, label, {}))
+        raise ModelError(code_psd, *not_psd(R, label, {}))
     return Property(f"{label} ⪰ 0", proved and verdict is True)
 
 
-def _not_psd(R: sp.Matrix, label: str, point: Mapping[sp.Symbol, sp.Expr]) -> tuple[str, str]:
+def not_psd(R: sp.Matrix, label: str, point: Mapping[sp.Symbol, sp.Expr]) -> tuple[str, str]:
     """Fault and remedy for a matrix that is not ⪰ 0, with a witness entry or eigenvalue."""
-    where = f" at {_shown_point(point)}" if point else ""
+    where = f" at {shown_point(point)}" if point else ""
     remedy = f"Every quadratic form of {label} must be nonnegative: dissipation takes energy out."
     for i in range(R.rows):
         value = R[i, i].subs(point)
         if not value.free_symbols and ex.sign(value) == -1:
             return (
-                f"{label} must be positive semidefinite: {label}[{i},{i}] = {value}{where}",
+                f"{label} must be positive semidefinite: {label}[{i},{i}] = "
+                f"{float(sp.N(value)):.4g}{where}",
                 remedy,
             )
     value = sp.Matrix(R.subs(point))
@@ -319,34 +325,5 @@ def check_rank(G: sp.Matrix, label: str, code: str) -> Property:
     return Property(f"rank {label} = {full}", not G.free_symbols)
 
 
-def _shown_point(point: Mapping[sp.Symbol, sp.Expr]) -> str:
+def shown_point(point: Mapping[sp.Symbol, sp.Expr]) -> str:
     return ", ".join(f"{name} = {float(value):.4g}" for name, value in point.items())
-
-
-def sample_property(
-    matrix: sp.Matrix,
-    label: str,
-    code: str,
-    box: Mapping[sp.Symbol, tuple[sp.Expr, sp.Expr]],
-    count: int = 200,
-) -> None:
-    """Try an undecided definiteness at `count` random points of `box`.
-
-    Raises
-    ------
-    ModelError
-        With the witness point, where the matrix has a negative eigenvalue.
-    """
-    symbols = sorted(matrix.free_symbols, key=str)
-    evaluate = sp.lambdify(symbols, matrix, "numpy")
-    for seed in range(count):
-        point = ex.random_point(symbols, seed, box)
-        value = np.array(evaluate(*[float(point[s]) for s in symbols]), dtype=float)
-        if not np.all(np.isfinite(value)):
-            raise ModelError(
-                "singular",
-                f"{label} is not finite at {_shown_point(point)}",
-                "Choose a domain without poles: domain = {state: (lo, hi)}.",
-            )
-        if np.linalg.eigvalsh(value)[0] < -1e-12 * max(1.0, float(np.abs(value).max())):
-            raise ModelError(code, *_not_psd(matrix, label, point))

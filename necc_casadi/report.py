@@ -14,8 +14,10 @@ from necc_casadi.artifact import Design
 from necc_casadi.assignability import Verdict
 from necc_casadi.casimirs import Casimirs
 from necc_casadi.certificate import Certificate
+from necc_casadi.export import Sampling
 from necc_casadi.expressions import to_text
 from necc_casadi.figures import SweepPoint
+from necc_casadi.learned import Residual
 from necc_casadi.loop import ClosedLoop
 from necc_casadi.simulation import Trajectory
 
@@ -23,6 +25,8 @@ __all__ = ["Findings", "design_block", "summary", "to_json"]
 
 #: A design whose ε is above this fell short, whatever else is proved.
 ACCEPTED_LOSS = 1e-6
+#: Lists of more states than this are shortened in the text, never in the JSON.
+_MANY = 12
 
 
 @dataclass
@@ -36,6 +40,7 @@ class Findings:
     design: Design | None = None
     certificate: Certificate | None = None
     responses: Sequence[Trajectory] = ()
+    sampling: Sampling | None = None
     sweep: Sequence[SweepPoint] = ()
     notes: list[str] = field(default_factory=list)
     files: list[str] = field(default_factory=list)
@@ -44,12 +49,11 @@ class Findings:
     @property
     def status(self) -> str:
         """The contract's word for the outcome."""
-        if self.verdict is None or self.verdict.assignable is None:
-            return "undecided"
-        if not self.verdict.assignable:
+        if self.verdict is not None and self.verdict.assignable is False:
             return "refused"
         if self.design is None:
-            return "assignable"
+            known = self.verdict is not None and self.verdict.assignable
+            return "assignable" if known else "undecided"
         certified = self.certificate is not None and self.certificate.certified
         return "certified" if certified and loss(self.design) <= ACCEPTED_LOSS else "fell_short"
 
@@ -93,6 +97,9 @@ def design_block(design: Design, certificate: Certificate | None) -> dict[str, A
             [float(v.real), float(v.imag)] for v in sorted(spectrum, key=lambda v: -v.real)
         ],
         "stability": None if certificate is None else certificate.stability,
+        "casimir_residual": None
+        if design.learned is None
+        else {"mean": design.learned.mean, "worst": design.learned.worst},
         "D": design.D.tolist(),
         "Dc": design.Dc.tolist(),
         "seed": design.seed,
@@ -122,6 +129,7 @@ def to_json(found: Findings) -> dict[str, Any]:
         "design": None if found.design is None else design_block(found.design, found.certificate),
         "certificate": None if found.certificate is None else _certificate(found.certificate),
         "responses": [_response(r) for r in found.responses] or None,
+        "sampling": None if found.sampling is None else vars(found.sampling),
         "sweep": [vars(p) for p in found.sweep] or None,
         "notes": found.notes,
         "files": found.files,
@@ -193,8 +201,12 @@ def summary(found: Findings) -> str:
         rows.append(("verdict", _verdict_text(verdict)))
     if found.design is not None:
         rows += _design_rows(found.design, found.certificate)
+    if found.design is not None and found.design.learned is not None:
+        rows.append(("learned", _learned(found.design.learned)))
     if found.responses:
         rows.append(("responses", _responses(found)))
+    if found.sampling is not None:
+        rows.append(("sampled", _sampled(found.sampling)))
     if found.certificate is not None:
         for claim in found.certificate.claims:
             mark = "proved" if claim.holds else "NOT proved"
@@ -235,11 +247,16 @@ def _outcome(found: Findings) -> str:
 
 def _target(found: Findings) -> str:
     parts = []
+    many = found.loop.plant.n > _MANY
     for symbol in found.loop.plant.x:
         value = found.x_star[symbol]
+        if many and value == 0:
+            continue
         unit = found.loop.plant.units.get(str(symbol), "")
         decimal = "" if value.is_Integer else f" = {float(sp.N(value)):.6g}"
         parts.append(f"{symbol} = {sp.sstr(value)}{decimal}{' ' + unit if unit else ''}")
+    if many:
+        return f"{', '.join(parts[:_MANY])}{', …' if len(parts) > _MANY else ''}; zeros not listed"
     return ", ".join(parts)
 
 
@@ -272,7 +289,8 @@ def _design_rows(design: Design, certificate: Certificate | None) -> list[tuple[
     bounds = (
         f"ε/(a − ε) = {paper:.2g}" if paper is not None else "ε/(a − ε) is no bound (ε ≥ a)"
     ) + (f", proved ≤ {rigorous:.2g}" if rigorous is not None else ", no proved bound")
-    z_bar = ", ".join(f"{v:.6g}" for v in design.z_bar)
+    z_bar = ", ".join(f"{v:.6g}" for v in design.z_bar[:_MANY])
+    z_bar += ", …" if len(design.z_bar) > _MANY else ""
     return [
         (
             "design",
@@ -288,6 +306,27 @@ def _design_rows(design: Design, certificate: Certificate | None) -> list[tuple[
             f"{block['hessian_min_eig']:.4g}",
         ),
     ]
+
+
+def _sampled(sampling: Sampling) -> str:
+    limit = (
+        "no largest stable sample time was found"
+        if sampling.largest_stable is None
+        else f"stable up to {sampling.largest_stable:.3g} s"
+    )
+    return (
+        f"at {sampling.sample_time:g} s the sampled loop has spectral radius "
+        f"{sampling.spectral_radius:.4f} at z̄; {limit} (linearised)"
+    )
+
+
+def _learned(residual: Residual) -> str:
+    return (
+        "the Casimir is a network and holds only approximately: on "
+        f"{residual.points} points that it was not trained on, ‖∇Cᵀ(Jcl − Rcl)‖ relative to "
+        f"‖∇C‖‖Jcl − Rcl‖ is {residual.mean:.2g} on average, {residual.worst:.2g} at worst; "
+        "no decrease of V follows, so nothing is certified"
+    )
 
 
 def _matrix(D: np.ndarray) -> str:

@@ -10,12 +10,17 @@ import numpy as np
 import numpy.typing as npt
 
 from necc_casadi.artifact import Design
+from necc_casadi.interrupts import interruptible
 from necc_casadi.networks import Vector
 
 __all__ = ["Trajectory", "default_horizon", "random_states", "simulate"]
 
 #: A response has settled when it stays within this share of its first distance from z̄.
 SETTLED = 0.02
+#: A mode that decays slower than this share of the fastest rate is taken as not decaying.
+_DECAYS = 1e-4
+#: Periods of the fastest oscillation that a response spans at most.
+_MOST_PERIODS = 1000
 _RELATIVE, _ABSOLUTE = 1e-9, 1e-11
 
 
@@ -34,7 +39,11 @@ class Trajectory:
     @property
     def settling_time(self) -> float:
         """Time after which ‖z − z̄‖ stays within 2 % of its initial value, s; inf if never."""
-        distance = np.linalg.norm(self.z - self.z_bar, axis=1)
+        away = self.z - self.z_bar
+        if not np.all(np.isfinite(away)):
+            return float("inf")
+        size = float(np.abs(away).max()) or 1.0  # so that squares of huge states do not overflow
+        distance = np.linalg.norm(away / size, axis=1)
         outside = np.flatnonzero(distance > SETTLED * distance[0])
         if outside.size == 0:
             return 0.0
@@ -61,9 +70,17 @@ class Trajectory:
 
 
 def default_horizon(design: Design) -> float:
-    """A time in which the slowest mode decays well below 2 %, s."""
-    rate = -np.linalg.eigvals(design.lyapunov.linearisation(design.z_bar)).real.max()
-    return float(np.clip(8.0 / rate, 1e-6, 1e6)) if rate > 0 else 30.0
+    """A time in which the slowest decaying mode falls well below 2 %, s.
+
+    No more than so many periods of the fastest oscillation: a lossless line with many states
+    takes longer to settle than anyone wants to integrate with error control.
+    """
+    spectrum = np.linalg.eigvals(design.lyapunov.linearisation(design.z_bar))
+    fastest = float(np.abs(spectrum).max())
+    decaying = [-v.real for v in spectrum if -v.real > _DECAYS * fastest]
+    settled = 8.0 / min(decaying) if decaying else 30.0
+    oscillation = float(np.abs(spectrum.imag).max())
+    return min(settled, _MOST_PERIODS * 2 * np.pi / oscillation) if oscillation else settled
 
 
 def random_states(design: Design, count: int, seed: int = 0) -> list[Vector]:
@@ -118,12 +135,14 @@ def simulate(
         "reltol": _RELATIVE,
         "max_num_steps": 100_000,
         "show_eval_warnings": False,
+        "disable_internal_warnings": True,
     }
     integrator = ca.integrator(
         "response", "cvodes", {"x": z, "ode": V.vector_field(z)}, 0.0, list(grid[1:]), options
     )
     try:
-        states = np.column_stack([z0, np.asarray(integrator(x0=z0)["xf"], float)]).T
+        with interruptible():
+            states = np.column_stack([z0, np.asarray(integrator(x0=z0)["xf"], float)]).T
         complete = bool(np.all(np.isfinite(states)))
     except RuntimeError:  # the integrator's way to say that it cannot go on
         states, complete = z0[None, :], False

@@ -21,7 +21,16 @@ import sympy as sp
 
 from necc_casadi.errors import NeccError
 
-__all__ = ["PRIMES", "Unspecialised", "nullspace", "pivots", "rank", "real_rank", "values"]
+__all__ = [
+    "PRIMES",
+    "Unspecialised",
+    "null_basis",
+    "nullspace",
+    "pivots",
+    "rank",
+    "real_rank",
+    "values",
+]
 
 Residues = npt.NDArray[np.int64]
 
@@ -32,6 +41,7 @@ PRIMES = (2147471759, 2147466359, 2147454839, 2147441519, 2147441159, 2147407799
 _FRACTION = 12  # sin(a/d) and exp(a/d) are consistent for every d that divides this
 _BATCHES = 12
 _BITS = 333
+_DIGITS = 100
 
 
 class Unspecialised(NeccError):
@@ -212,23 +222,27 @@ def pivots(matrix: Residues, prime: int = PRIMES[0]) -> list[int]:
     if 0 in matrix.shape:
         return []
     reduced, size = _table(matrix, prime).rref()
-    table = reduced.tolist()
-    return [next(j for j, v in enumerate(table[i]) if int(v)) for i in range(size)]
+    entries = [int(v) != 0 for v in reduced.entries()[: size * matrix.shape[1]]]
+    return np.argmax(np.array(entries).reshape(size, -1), axis=1).tolist() if size else []
+
+
+def null_basis(matrix: Residues, prime: int = PRIMES[0]) -> npt.NDArray[Any]:
+    """Basis of {v : matrix·v = 0} over GF(prime), one vector per row."""
+    return _modular_nullspace(matrix, prime)[1]
 
 
 def _modular_nullspace(matrix: Residues, prime: int) -> tuple[list[int], npt.NDArray[Any]]:
     """(free columns, basis rows): row k has 1 at its free column and pivot entries before it."""
     columns = matrix.shape[1]
     reduced, size = _table(matrix, prime).rref()
-    table = np.array([[int(v) for v in row] for row in reduced.tolist()[:size]], dtype=object)
-    leading = [next(j for j in range(columns) if table[i, j]) for i in range(size)]
-    free = [j for j in range(columns) if j not in set(leading)]
-    basis = np.zeros((len(free), columns), dtype=object)
-    for k, j in enumerate(free):
-        basis[k, j] = 1
-        for i, lead in enumerate(leading):
-            basis[k, lead] = -table[i, j] % prime
-    return free, basis
+    entries = [int(v) for v in reduced.entries()[: size * columns]]
+    table = np.array(entries, dtype=np.int64).reshape(size, columns)
+    leading = np.argmax(table != 0, axis=1) if size else np.zeros(0, dtype=np.int64)
+    free = np.setdiff1d(np.arange(columns), leading)
+    basis = np.zeros((len(free), columns), dtype=np.int64)
+    basis[np.arange(len(free)), free] = 1
+    basis[:, leading] = (-table[:, free] % prime).T
+    return free.tolist(), basis.astype(object)
 
 
 def nullspace(table: Callable[[int], Residues], primes: int) -> list[list[sp.Rational]]:
@@ -244,8 +258,13 @@ def nullspace(table: Callable[[int], Residues], primes: int) -> list[list[sp.Rat
         if same == free:
             lift = (basis - combined) * pow(modulus, -1, prime) % prime
             combined, modulus = combined + modulus * lift, modulus * prime
-    rational = [[_reconstruct(v, modulus) for v in row] for row in combined.tolist()]
-    return [[v for v in row if v is not None] for row in rational if None not in row]
+    return rational_rows(combined, modulus)
+
+
+def rational_rows(basis: npt.NDArray[Any], prime: int = PRIMES[0]) -> list[list[sp.Rational]]:
+    """The rows whose residues are those of small fractions."""
+    rows = [[_reconstruct(int(v), prime) for v in row] for row in basis]
+    return [[v for v in row if v is not None] for row in rows if None not in row]
 
 
 def _reconstruct(residue: int, modulus: int) -> sp.Rational | None:
@@ -318,7 +337,17 @@ def _ball(expr: sp.Expr, known: dict[sp.Expr, Any]) -> Any:
         for part in parts[1:]:
             total = total + part if expr.is_Add else total * part
         return total
-    return flint.arb("nan")
+    return _measured(expr)
+
+
+def _measured(expr: sp.Expr) -> Any:
+    """A ball around a constant of another kind, e.g. a root of a polynomial, from its digits."""
+    if not expr.is_number:
+        return flint.arb("nan")
+    value = expr.evalf(_DIGITS)
+    if not (value.is_Float or value.is_Rational):
+        return flint.arb("nan")
+    return flint.arb(flint.arb(str(value)).mid(), abs(flint.arb(str(value))) * 10 ** (5 - _DIGITS))
 
 
 def _pivoted(table: list[list[Any]]) -> int:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import sympy as sp
@@ -11,16 +11,24 @@ import sympy as sp
 from necc_casadi.artifact import Design
 from necc_casadi.assignability import Verdict
 from necc_casadi.casimirs import Casimirs
+from necc_casadi.conditions import at
+from necc_casadi.convexity import least_kappa
+from necc_casadi.damping import choose_damping
+from necc_casadi.learned import casimir_penalty, casimir_residual, state_inputs
+from necc_casadi.lifting import Scales
 from necc_casadi.loop import ClosedLoop
 from necc_casadi.lyapunov import Form, LyapunovFunction, make_terms
-from necc_casadi.networks import MonotonePhi, Network, Vector
+from necc_casadi.networks import KAPPA_MIN, MonotonePhi, Network, Vector
 from necc_casadi.outcome import Start
-from necc_casadi.training import Scales, train
+from necc_casadi.plant import gradient
+from necc_casadi.training import train
 
 __all__ = ["Options", "design", "natural_scales", "paper_options"]
 
 #: Curvature asked for by default, as a share of the reference stiffness.
 _DEFAULT_A = 0.5
+#: Hidden layer of a learned Casimir: small enough for exact second derivatives.
+_LEARNED_HIDDEN = (32,)
 #: Share of the ceiling a_max that is asked for when the request lies beyond it.
 _BELOW_CEILING = 0.9
 
@@ -39,6 +47,8 @@ class Options:
     keep_a: bool = False  # ask for `a` even where no network can reach it
     D: Vector | None = None  # m × m
     Dc: Vector | None = None  # m × m
+    convex: bool = False  # quadratic parts stiff enough to make V convex everywhere
+    learn_casimir: bool = False  # a network C(z), a Casimir only approximately
     natural_units: bool = True  # scale the networks to the plant's domain and energy
     seed: int = 0
     starts: int = 1
@@ -82,6 +92,12 @@ def design(
         Called with the outcome of each start of the solver.
     """
     options = options or Options()
+    if options.learn_casimir:
+        casimirs = state_inputs(loop, casimirs)
+        options = replace(options, casimir_form="joint", hidden_k=_LEARNED_HIDDEN)
+    elif not casimirs.functions:  # constants are Casimirs of every loop: C = K(0) keeps one form
+        casimirs = replace(casimirs, functions=(sp.Integer(0),))
+        options = replace(options, hidden_k=(1,))
     terms = make_terms(loop, casimirs)
     form = _form(options, terms.nc, terms.r)
     x = np.array([float(sp.N(x_star[s], 20)) for s in loop.plant.x])
@@ -90,6 +106,10 @@ def design(
         guess = np.array([float(sp.N(v, 20)) for v in verdict.xi_star])
     natural = natural_scales(loop, casimirs, x, guess)
     scales = natural if options.natural_units else Scales(np.ones(len(loop.z)), 1.0)
+    z_guess = np.concatenate([x, guess])
+    penalty = None
+    if options.learn_casimir:
+        penalty = casimir_penalty(terms, form, natural, z_guess, options.seed)
     requested = options.a if options.a is not None else _default_a(natural, verdict)
     a = requested
     if verdict.a_max is not None and requested >= verdict.a_max and not options.keep_a:
@@ -103,12 +123,14 @@ def design(
         seed=options.seed,
         starts=options.starts,
         xi_guess=guess,
+        kappa_min=least_kappa(terms, scales, verdict, x, guess) if options.convex else KAPPA_MIN,
+        penalty=penalty,
         report=report,
         verbose=options.verbose,
     )
     z_star = np.concatenate([x, solution.xi_star])
     undamped = LyapunovFunction(terms, form, solution.weights, np.eye(terms.m), np.eye(terms.m))
-    D, Dc = _damping(undamped, loop, z_star, options)
+    D, Dc = choose_damping(undamped, loop, z_star, options.D, options.Dc)
     made = Design(
         loop=loop,
         casimirs=casimirs,
@@ -123,6 +145,9 @@ def design(
         a_requested=requested,
         seed=options.seed,
         starts=solution.starts,
+        learned=casimir_residual(terms, form, solution.weights, natural, z_star, options.seed)
+        if options.learn_casimir
+        else None,
     )
     return Design.from_text(made.text)
 
@@ -135,7 +160,11 @@ def _form(options: Options, nc: int, r: int) -> Form:
     betas = () if joint else tuple(network(1, options.hidden_k, False) for _ in range(r))
     return Form(
         hc=network(nc, options.hidden_h, options.quadratic),
-        k=network(r if joint else 1, options.hidden_k, options.quadratic),
+        k=network(
+            r if joint else 1,
+            options.hidden_k,
+            options.quadratic and not options.learn_casimir,
+        ),
         betas=betas,
         phi=MonotonePhi() if options.phi == "neural" else None,
     )
@@ -156,13 +185,15 @@ def natural_scales(loop: ClosedLoop, casimirs: Casimirs, x_star: Vector, xi: Vec
     size[:n] = np.where(np.isnan(size[:n]), 1.0, size[:n])
     point = dict(zip(loop.z, np.concatenate([x_star, xi]), strict=True))
     for function in casimirs.functions:
-        slope = np.array([abs(float(sp.diff(function, s).subs(point))) for s in loop.z])
+        slope = np.array([abs(float(v)) for v in at(gradient(function, loop.z), point)])
         reach = float(np.max(slope[:n] * size[:n], initial=0.0))
         for index in range(n, len(size)):
             if np.isnan(size[index]) and slope[index] > 0 and reach > 0:
                 size[index] = reach / slope[index]
     size[np.isnan(size)] = 1.0
-    curvature = [abs(float(sp.diff(loop.plant.H, s, 2).subs(point))) for s in loop.plant.x]
+    slopes = zip(loop.plant.grad_H, loop.plant.x, strict=True)
+    second = at(sp.Matrix([sp.diff(slope, s) for slope, s in slopes]), point)
+    curvature = [abs(float(v)) for v in second]
     energies = size[:n] ** 2 * np.array(curvature)
     energy = float(energies[energies > 0].mean()) if np.any(energies > 0) else 1.0
     return Scales(size, energy)
@@ -174,58 +205,3 @@ def _default_a(scales: Scales, verdict: Verdict) -> float:
     if verdict.a_max is not None:
         a = min(a, 0.5 * verdict.a_max)
     return float(f"{a:.3g}")
-
-
-# --- damping -------------------------------------------------------------------------------------
-
-#: Of the dampings within this share of the best decay rate, the smallest is taken.
-_NEAR_BEST = 0.9
-
-
-def _damping(
-    V: LyapunovFunction, loop: ClosedLoop, z_star: Vector, options: Options
-) -> tuple[Vector, Vector]:
-    """D and Dc as given; what is not given maximises the decay rate of the linearised loop.
-
-    Too much damping slows the loop down as much as too little, so the rate is searched over
-    multiples of a natural damping, and of those near the best the smallest is taken: it costs
-    the least input and amplifies the least noise. The yes or no of stability does not depend
-    on the choice.
-    """
-    m = V.terms.m
-    given_D, given_Dc = options.D, options.Dc
-    if given_D is not None and given_Dc is not None:
-        return given_D, given_Dc
-    hessian = np.asarray(V.hessian(z_star), float)
-    M = np.asarray(V.terms.M(z_star), float) / float(V.phi_slope(z_star))
-    ports = np.array(loop.ports.subs(dict(zip(loop.z, z_star, strict=True))).evalf(), float)
-    natural = _natural_damping(M, hessian, ports)
-    steps = np.logspace(-2, 2, 33 if len(z_star) <= 12 else 9)
-    candidates = []
-    for d in steps if given_D is None else [1.0]:
-        for dc in steps if given_Dc is None else [1.0]:
-            D = np.diag(d * natural[:m]) if given_D is None else given_D
-            Dc = np.diag(dc * natural[m:]) if given_Dc is None else given_Dc
-            damping = np.block([[D, np.zeros((m, m))], [np.zeros((m, m)), Dc]])
-            A = (M - ports @ damping @ ports.T) @ hessian
-            candidates.append((-np.linalg.eigvals(A).real.max(), d, dc, D, Dc))
-    best = max(c[0] for c in candidates)
-    threshold = _NEAR_BEST * best if best > 0 else best
-    _, _, _, D, Dc = min(
-        (c for c in candidates if c[0] >= threshold), key=lambda c: c[1] ** 2 * c[2]
-    )
-    return _rounded(D), _rounded(Dc)
-
-
-def _rounded(D: Vector) -> Vector:
-    """Three digits: a damping gain that an engineer can read."""
-    return np.array([[float(f"{v:.3g}") for v in row] for row in D])
-
-
-def _natural_damping(M: Vector, hessian: Vector, ports: Vector) -> Vector:
-    """Damping of each port at which its rate equals the loop's natural frequency, (2m,)."""
-    frequencies = np.abs(np.linalg.eigvals(M @ hessian))
-    significant = frequencies[frequencies > 1e-6 * max(frequencies.max(), 1e-300)]
-    omega = float(np.median(significant)) if significant.size else 1.0
-    rates = np.einsum("ij,ik,kj->j", ports, hessian, ports)
-    return omega / np.where(rates > 0, rates, 1.0)

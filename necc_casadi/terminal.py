@@ -13,6 +13,7 @@ from typing import Any
 import click
 
 from necc_casadi.errors import InputError
+from necc_casadi.interrupts import interruptible
 
 __all__ = ["GroupedCommand", "Progress", "grouped", "run"]
 
@@ -57,8 +58,9 @@ def run(command: click.Command, arguments: Sequence[str] | None = None) -> int:
     given = list(sys.argv[1:] if arguments is None else arguments)
     as_json, debug = "--json" in given, "--debug" in given
     try:
-        code = command.main(given, standalone_mode=False)
-        sys.stdout.flush()
+        with interruptible():
+            code = command.main(given, standalone_mode=False)
+            sys.stdout.flush()
         return int(code or 0)
     except InputError as problem:
         return _refuse(problem.code, problem.fault, problem.remedy, as_json, debug)

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
 
 import sympy as sp
 
 from necc_casadi import exact as ex
 from necc_casadi.casimirs import Casimirs
+from necc_casadi.conditions import Local, TargetData
 from necc_casadi.loop import ClosedLoop
-
-if TYPE_CHECKING:
-    from necc_casadi.assignability import Local, TargetData
 
 __all__ = ["direction_name", "explain"]
 
@@ -71,7 +68,8 @@ def _accepted(
     stability: str | None,
     witness: str | None,
 ) -> str:
-    text = f"assignable through {_casimir_list(casimirs)}"
+    through = f" through {_casimir_list(casimirs)}" if casimirs.functions else " without a Casimir"
+    text = f"assignable{through}"
     ceiling = local.best.ceiling if local.best is not None else None
     if ceiling is not None and local.invisible.cols:
         text += f"; with Φ₁ = 1 the Hessian's least eigenvalue stays below {ceiling:.4g}"
@@ -84,6 +82,8 @@ def _accepted(
 
 
 def _undecided(loop: ClosedLoop, casimirs: Casimirs, data: TargetData, local: Local) -> str:
+    if any(e.has(sp.zoo, sp.nan, sp.oo) for e in (*data.grad_H, *data.hess_H)):
+        return "not decided: H is not smooth at the target. Choose a target where it is."
     missing = casimirs.generic_count - len(casimirs.functions)
     if missing > 0:
         cause = (
@@ -144,7 +144,14 @@ def _remedy(loop: ClosedLoop, x_star: Mapping[sp.Symbol, sp.Expr], w: sp.MatrixB
     if obstacle:
         return obstacle
     name = direction_name(loop.plant.x, w)
-    return f"Actuate {name}, or choose a target at which H is at rest and curves upwards along it."
+    G = loop.plant.G.subs({s: x_star[s] for s in loop.plant.G.free_symbols})
+    if ex.generic_rank(sp.Matrix(G).row_join(sp.Matrix(w))) == loop.plant.m:
+        return (
+            f"An input acts on {name}, but no Casimir ties it to the controller: try another "
+            "controller structure (Jc, Gc), or another target."
+        )
+    it = name if name in loop.plant.states else "along it"
+    return f"Actuate {it}, or choose a target at which H is at rest and curves upwards along it."
 
 
 def _dissipation_obstacle(
@@ -160,18 +167,25 @@ def _dissipation_obstacle(
     n = loop.plant.n
     for k in range(lossless.cols):
         v = lossless[:, k]
-        if ex.is_zero((v[:n, :].T * w)[0]) is False:
-            lost = sp.Matrix(R) * v
-            for i in range(loop.n):
-                if ex.is_zero(lost[i]) is False:
-                    j = next(j for j in range(loop.n) if R[i, j] != 0 and v[j] != 0)
-                    label = "R" if i < n else "Rc"
-                    a, b = (i, j) if i < n else (i - n, j - n)
-                    return (
-                        f"Dissipation obstacle: {label}[{a},{b}] = {short(loop.R[i, j])} dissipates "
-                        f"in {loop.z[j]}, which would have to be shaped. Remove that dissipation "
-                        "from the shaped coordinate, or choose a target at which it is at rest."
-                    )
+        place = _dissipating_entry(sp.Matrix(R), v)
+        if place is None or ex.is_zero((v[:n, :].T * w)[0]) is not False:
+            continue
+        i, j = place
+        label = f"R[{i},{j}]" if i < n else f"Rc[{i - n},{j - n}]"
+        return (
+            f"Dissipation obstacle: {label} = {short(loop.R[i, j])} dissipates in {loop.z[j]}, "
+            "which would have to be shaped. Remove that dissipation from the shaped coordinate, "
+            "or choose a target at which it is at rest."
+        )
+    return None
+
+
+def _dissipating_entry(R: sp.Matrix, v: sp.MatrixBase) -> tuple[int, int] | None:
+    """An entry of R through which Rv ≠ 0."""
+    lost = R * v
+    for i in range(R.rows):
+        if ex.is_zero(lost[i]) is False:
+            return i, next(j for j in range(R.cols) if R[i, j] != 0 and v[j] != 0)
     return None
 
 
@@ -180,12 +194,16 @@ def direction_name(x: Sequence[sp.Symbol], w: sp.MatrixBase) -> str:
     parts = [(x[i], w[i]) for i in range(len(x)) if w[i] != 0]
     if len(parts) == 1:
         return str(parts[0][0])
-    lead = max((abs(sp.N(value)) for _, value in parts), default=1)
-    parts = [(s, value / lead) for s, value in parts if abs(sp.N(value / lead)) > 1e-3]
-    terms = [f"{number(value)}·{s}" if value not in (1, -1) else f"{'-' if value < 0 else ''}{s}"
-             for s, value in parts[:_MOST_NAMES]]  # fmt: skip
+    lead = max(abs(float(sp.N(value))) for _, value in parts)
+    terms = [(s, float(sp.N(value)) / lead) for s, value in parts]
+    shown = [_term(s, value) for s, value in terms if abs(value) > 1e-3][:_MOST_NAMES]
     more = " + …" if len(parts) > _MOST_NAMES else ""
-    return "the direction " + " + ".join(terms).replace("+ -", "- ") + more
+    return "the direction " + " + ".join(shown).replace("+ -", "- ") + more
+
+
+def _term(s: sp.Symbol, value: float) -> str:
+    text = f"{abs(value):.4g}"
+    return ("-" if value < 0 else "") + (str(s) if text == "1" else f"{text}·{s}")
 
 
 def number(value: sp.Expr | None) -> str:
@@ -202,7 +220,7 @@ def short(expr: sp.Expr) -> str:
 def _casimir_list(casimirs: Casimirs) -> str:
     names = [short(c) for c in casimirs.functions]
     if not names:
-        return "the controller: the loop has no Casimir"
+        return "the controller (the loop has no Casimir)"
     if len(names) == 1:
         return f"the only Casimir {names[0]}"
     return f"the Casimirs {', '.join(names[:_MOST_NAMES])}" + (

@@ -17,7 +17,7 @@ from necc_casadi.plant import make_plant
 
 STRICT = [
     "-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Wdouble-promotion",
-    "-Wmissing-prototypes", "-Werror",
+    "-Wmissing-prototypes", "-Wshadow", "-Werror",
 ]  # fmt: skip
 COMPILERS = [name for name in ("gcc", "clang") if shutil.which(name)]
 

@@ -6,15 +6,15 @@ import json
 import numpy as np
 import pytest
 from certificate_designs import make_design, mechanical, quadratic_pendulum, trained_like_pendulum
-from click.testing import CliRunner
 
 from necc_casadi.certificate import certify
 from necc_casadi.certificate.balls import Energy, Model
 from necc_casadi.certificate.checker import check
-from necc_casadi.certificate.command import certify_command
+from necc_casadi.cli import _certify
 from necc_casadi.errors import OutputError
 from necc_casadi.lyapunov import Form
 from necc_casadi.networks import MonotonePhi, Network
+from necc_casadi.terminal import run
 
 
 @pytest.fixture(scope="module")
@@ -264,23 +264,19 @@ def test_unreadable_files_are_input_errors(pendulum, tmp_path, text):
         check(tmp_path)
 
 
-def test_command_line(pendulum, tmp_path):
-    runner = CliRunner()
-    good = runner.invoke(certify_command, [str(pendulum)])
-    assert good.exit_code == 0
-    assert "equilibrium  holds" in good.output
-    as_json = runner.invoke(certify_command, [str(pendulum), "--json"])
-    assert json.loads(as_json.output)["status"] == "certified"
-    missing = runner.invoke(certify_command, [str(tmp_path)])
-    assert missing.exit_code == 2
+def test_command_line(pendulum, tmp_path, capsys):
+    assert run(_certify, [str(pendulum)]) == 0
+    assert "equilibrium  holds" in capsys.readouterr().out
+    assert run(_certify, [str(pendulum), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["status"] == "certified"
+    assert run(_certify, [str(tmp_path)]) == 2
     data = json.loads((pendulum / "certificate.json").read_text(encoding="utf-8"))
     change = copy.deepcopy(data)
     raise_level(change)
     (tmp_path / "design.json").write_bytes((pendulum / "design.json").read_bytes())
     (tmp_path / "certificate.json").write_text(json.dumps(change), encoding="utf-8")
-    bad = runner.invoke(certify_command, [str(tmp_path)])
-    assert bad.exit_code == 4
-    assert "DOES NOT HOLD" in bad.output
+    assert run(_certify, [str(tmp_path)]) == 4
+    assert "DOES NOT HOLD" in capsys.readouterr().out
 
 
 FORMS = [

@@ -19,8 +19,9 @@ from export_cases import (
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from necc_casadi.errors import OptionError
-from necc_casadi.export import INTEGRATORS, compile_controller, export_c, load_controller
+from necc_casadi.errors import OptionError, OutputError
+from necc_casadi.export import compile_controller, export_c, load_controller
+from necc_casadi.export.sampling import ORDERS
 from necc_casadi.lyapunov import Form
 from necc_casadi.networks import MonotonePhi, Network
 
@@ -79,7 +80,7 @@ def test_closed_loop_of_the_demonstration_is_the_scheme_that_casadi_computes(
     tmp_path, compiler, real
 ):
     d = paper_design()
-    names = {p.name for p in export_c(d, tmp_path, real=real, sample_time=0.02)}
+    names = {p.name for p in export_c(d, tmp_path, real=real, sample_time=0.02, measured=False)}
     assert {"necc.h", "necc.c", "main.c", "CMakeLists.txt"} <= names
     header, rows = run_demo(tmp_path, compiler, "2000", "0.1", "-0.7")
     assert header == ["t", "q", "p", "xi1", "u1", "flags"]
@@ -92,8 +93,8 @@ def test_closed_loop_of_the_demonstration_is_the_scheme_that_casadi_computes(
 def test_integrators_of_the_controller_state(tmp_path, method):
     form = Form(Network(2, (5,)), Network(1, (9,)), (Network(1, (3,)), Network(1, (4,))))
     d = design(arm_loop(), form)
-    assert method.__name__ in INTEGRATORS
-    export_c(d, tmp_path, sample_time=0.01, integrator=method.__name__)
+    assert method.__name__ in ORDERS
+    export_c(d, tmp_path, sample_time=0.01, integrator=method.__name__, measured=False)
     _, rows = run_demo(tmp_path, COMPILERS[0], "300", "0.1", "0.2", "0.3", "-0.1")
     expected = reference(d, 300, 0.01, [0.1, 0.2, 0.3, -0.1], rows[0, 5:7], method)
     assert np.abs(rows - expected)[:, 1:].max() <= 1e-12
@@ -159,7 +160,7 @@ def test_init_is_the_designed_equilibrium(controller):
 @pytest.mark.parametrize("real", ["double", "float"])
 def test_no_heap_no_globals_and_only_the_interface_is_visible(tmp_path, compiler, real):
     form = Form(Network(2, (5,), "sin"), Network(2, (9,), "squareplus"), phi=MonotonePhi())
-    export_c(design(arm_loop(), form), tmp_path, real=real)
+    export_c(design(arm_loop(), form), tmp_path, real=real, measured=False)
     target = tmp_path / "necc.o"
     subprocess.run(
         [compiler, *STRICT, "-O2", "-c", str(tmp_path / "necc.c"), "-o", str(target)], check=True
@@ -175,7 +176,7 @@ def test_no_heap_no_globals_and_only_the_interface_is_visible(tmp_path, compiler
 
 
 def test_fast_math_is_refused(tmp_path):
-    export_c(paper_design((5,), (7,)), tmp_path)
+    export_c(paper_design((5,), (7,)), tmp_path, measured=False)
     done = subprocess.run(
         [COMPILERS[0], "-ffast-math", "-c", str(tmp_path / "necc.c"), "-o", "/dev/null"],
         capture_output=True,
@@ -188,7 +189,13 @@ def test_fast_math_is_refused(tmp_path):
 
 def test_header_says_what_it_is_about(tmp_path):
     d = paper_design((5,), (7,))
-    export_c(d, tmp_path, certificate_hash="ab" * 32, claims=["z̄ is asymptotically stable"])
+    export_c(
+        d,
+        tmp_path,
+        certificate_hash="ab" * 32,
+        claims=["z̄ is asymptotically stable"],
+        measured=False,
+    )
     text = (tmp_path / "necc.h").read_text(encoding="utf-8")
     assert f'#define NECC_DESIGN "{d.hash}"' in text
     assert f'#define NECC_CERTIFICATE "{"ab" * 32}"' in text
@@ -204,15 +211,36 @@ def test_header_says_what_it_is_about(tmp_path):
 )
 def test_options_that_cannot_be_used(tmp_path, option):
     with pytest.raises(OptionError):
-        export_c(paper_design((5,), (7,)), tmp_path, **option)
+        export_c(paper_design((5,), (7,)), tmp_path, **option, measured=False)
     assert not list(tmp_path.iterdir())
 
 
 def test_the_loaded_controller_of_a_folder_is_the_compiled_design(tmp_path):
     d = design(pendulum_loop(), Form(Network(1, (6,)), Network(1, ())), 3)
-    export_c(d, tmp_path)
+    export_c(d, tmp_path, measured=False)
     loaded = load_controller(tmp_path)
     np.testing.assert_array_equal(
         np.concatenate(loaded.control([0.2, 0.1], [0.4])),
         np.concatenate(compile_controller(d).control([0.2, 0.1], [0.4])),
     )
+
+
+def test_readme_tells_sizes_and_times_measured_here(tmp_path):
+    export_c(paper_design((5,), (7,)), tmp_path, sample_time=0.02)
+    text = (tmp_path / "README.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| `(-O.*)` \| (\d+) \| (\d+) \| (\d+) \| (\d+) \|$", text, re.MULTILINE)
+    assert [row[0] for row in rows] == ["-O2", "-O3 -march=native"]
+    for _, size, bss, control, step in rows:
+        assert 1000 < int(size) < 30000
+        assert int(bss) == 0
+        assert 0 < int(control) < int(step)
+    assert "necc_step(&state, x, u, 0.02)" in text
+
+
+def test_without_a_compiler_the_readme_says_so_and_loading_names_the_remedy(tmp_path, monkeypatch):
+    monkeypatch.setenv("PATH", str(tmp_path))
+    monkeypatch.delenv("CC", raising=False)
+    export_c(paper_design((5,), (7,)), tmp_path / "c")
+    assert "Not measured" in (tmp_path / "c" / "README.md").read_text(encoding="utf-8")
+    with pytest.raises(OutputError, match="no C compiler"):
+        load_controller(tmp_path / "c")

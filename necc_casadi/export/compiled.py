@@ -17,10 +17,20 @@ import numpy as np
 
 from necc_casadi.artifact import Design
 from necc_casadi.errors import OutputError
-from necc_casadi.export.source import export_c
+from necc_casadi.export.controller import controller
+from necc_casadi.export.header import header
+from necc_casadi.export.source import Source
 from necc_casadi.networks import Vector
 
-__all__ = ["CompiledController", "compile_controller", "find_compiler", "load_controller"]
+__all__ = [
+    "CompiledController",
+    "compile_controller",
+    "compile_shared",
+    "find_compiler",
+    "load_controller",
+]
+
+_REMEDY = "Install gcc or clang, or name one in the environment variable CC."
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,6 +55,12 @@ class CompiledController:
         self.library.necc_init(xi)
         return np.array(xi, float)
 
+    def init_at(self, x0: Sequence[float]) -> tuple[Vector, int]:
+        """``necc_init_at``: plant state (n,) -> ξ at the minimum of V(x0, ·), (nc,), flags."""
+        xi = (self.real * self.nc)()
+        flags = self.library.necc_init_at(xi, self._array(x0, self.n))
+        return np.array(xi, float), int(flags)
+
     def step(
         self, xi: Sequence[float], x: Sequence[float], dt: float
     ) -> tuple[Vector, Vector, int]:
@@ -60,7 +76,7 @@ class CompiledController:
 def compile_controller(
     design: Design, *, flags: Sequence[str] = ("-O2",), **options: Any
 ) -> CompiledController:
-    """Export `design`, compile it and load it; `options` are those of :func:`export_c`.
+    """Export `design`, compile it and load it; `options` are fields of Source.
 
     Raises
     ------
@@ -68,7 +84,9 @@ def compile_controller(
         When no C compiler is found, or it fails.
     """
     with tempfile.TemporaryDirectory(prefix="necc-") as folder:
-        export_c(design, Path(folder), **options)
+        source = Source(design, **options)
+        for name, text in (("necc.h", header(source)), ("necc.c", controller(source))):
+            (Path(folder) / name).write_text(text, encoding="utf-8")
         return load_controller(Path(folder), flags=flags)
 
 
@@ -83,23 +101,35 @@ def load_controller(
         When no C compiler is found, or it fails.
     """
     compiler = compiler or find_compiler()
-    remedy = "Install gcc or clang, or name one in the environment variable CC."
     if compiler is None:
-        raise OutputError("output", "no C compiler was found", remedy)
+        raise OutputError("output", "no C compiler was found", _REMEDY)
     header = (Path(folder) / "necc.h").read_text(encoding="utf-8")
     sizes = {name: int(size) for name, size in re.findall(r"#define NECC_(N\w+) (\d+)", header)}
     real = ctypes.c_float if "typedef float" in header else ctypes.c_double
     with tempfile.TemporaryDirectory(prefix="necc-") as build:
         target = Path(build) / "necc.so"
-        command = [compiler, "-std=c99", "-ffp-contract=off", *flags, "-shared", "-fPIC"]
-        command += [str(Path(folder) / "necc.c"), "-o", str(target), "-lm"]
-        done = subprocess.run(command, capture_output=True, text=True, check=False)
-        if done.returncode != 0:
-            first = done.stderr.strip().splitlines()[:1] or ["it said nothing"]
-            raise OutputError("output", f"{compiler} failed: {first[0]}", remedy)
+        compile_shared(compiler, [Path(folder) / "necc.c"], target, flags)
         library = ctypes.CDLL(str(target))
     library.necc_init.restype = library.necc_control.restype = None
     return CompiledController(library, sizes["NX"], sizes["NXI"], sizes["NU"], real)
+
+
+def compile_shared(
+    compiler: str, sources: Sequence[Path], target: Path, flags: Sequence[str]
+) -> None:
+    """Compile C99 sources into a shared library, without contraction.
+
+    Raises
+    ------
+    OutputError
+        With the compiler's first message, when it fails.
+    """
+    command = [compiler, "-std=c99", "-ffp-contract=off", *flags, "-shared", "-fPIC"]
+    command += [*map(str, sources), "-o", str(target), "-lm"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    if done.returncode != 0:
+        first = (done.stderr.strip().splitlines() or ["it said nothing"])[0]
+        raise OutputError("output", f"{compiler} failed: {first}", _REMEDY)
 
 
 def find_compiler() -> str | None:

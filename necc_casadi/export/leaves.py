@@ -9,11 +9,13 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
+
+from necc_casadi.networks import Vector
 
 __all__ = ["Real", "leaf"]
 
@@ -29,16 +31,33 @@ class Real:
         """Suffix of literals and of library functions."""
         return "f" if self.name == "float" else ""
 
+    @property
+    def eps(self) -> float:
+        """Spacing of the numbers next to 1."""
+        return float(np.finfo(np.float32 if self.suffix else np.float64).eps)
+
+    @property
+    def tiny(self) -> float:
+        """The smallest normal number."""
+        return float(np.finfo(np.float32 if self.suffix else np.float64).tiny)
+
+    def rounded(self, values: Vector) -> Vector:
+        """`values` rounded to this type."""
+        return np.asarray(values, np.float32 if self.suffix else np.float64).astype(float)
+
     def literal(self, value: float) -> str:
         """The shortest literal that reads back as `value` rounded to this type."""
         rounded = np.float32(value) if self.suffix else np.float64(value)
-        text = str(rounded)
         if not math.isfinite(rounded):
-            return "-HUGE_VAL" if value < 0 else "HUGE_VAL"
-        return text + self.suffix
+            return ("-" if value < 0 else "") + "HUGE_VAL" + self.suffix.upper()
+        return str(rounded) + self.suffix
+
+    def literals(self, values: Iterable[float]) -> str:
+        """Literals separated by commas."""
+        return ", ".join(self.literal(v) for v in values)
 
 
-_LONG = 72  # longer expressions get a name
+_LONG = 40  # longer expressions get a name
 
 _INFIX = {ca.OP_ADD: "+", ca.OP_SUB: "-", ca.OP_MUL: "*", ca.OP_DIV: "/"}
 _CALLS = {

@@ -17,8 +17,10 @@ from necc_casadi.networks import MonotonePhi, Network, Vector
 
 __all__ = ["LANES", "CNetwork", "c_network", "kernels", "width"]
 
-#: Hidden layers are padded to whole groups of this many neurons, which compilers vectorise.
-LANES = 8
+#: Hidden layers are padded to whole groups of this many neurons, which compilers vectorise. gcc
+#: takes shorter loops of doubles apart before it vectorises them; floats are for small processors,
+#: where a shorter group needs less stack.
+LANES = {"double": 16, "float": 8}
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,14 +39,14 @@ class CNetwork:
         parts = []
         for index, (W, b) in enumerate(self.layers, 1):
             last = index == len(self.layers)
-            values = np.concatenate([W.T.ravel(), b] if last else [b, W.T.ravel()])
-            parts.append(_table(f"{self.name}_{index}", values, real))
+            values = np.concatenate([W.ravel(), b] if last else [b, _panels(W, LANES[real.name])])
+            parts.append(_table(f"{self.name}_w{index}", values, real))
         if self.quadratic is not None:
             parts.append(_table(f"{self.name}_quadratic", self.quadratic, real))
         return "\n".join(parts)
 
     def function(self, real: Real) -> str:
-        """``name(v, slope)``: the value; ``slope`` becomes the gradient."""
+        """``name_network(v, slope)``: the value; ``slope`` becomes the gradient."""
         d, (*hidden, (W_last, _)) = self.inputs, self.layers
         shape = " -> ".join(str(n) for n in (d, *(W.shape[0] for W, _ in hidden), 1))
         body = [f"start(v, {d}, {d if hidden else W_last.shape[1]}, a);"]
@@ -52,12 +54,12 @@ class CNetwork:
         for index, (W, _) in enumerate(hidden, 1):
             rows, columns = W.shape
             body.append(
-                f"layer_{self.activation}({self.name}_{index}, {rows}, {columns}, {1 + d}, "
+                f"layer_{self.activation}({self.name}_w{index}, {rows}, {columns}, {1 + d}, "
                 f"{source}, {target});"
             )
             source, target = target, source
         body.append(
-            f"value = output({self.name}_{len(self.layers)}, {W_last.shape[1]}, {d}, "
+            f"value = output({self.name}_w{len(self.layers)}, {W_last.shape[1]}, {d}, "
             f"{source}, slope);"
         )
         if self.quadratic is not None:
@@ -68,7 +70,7 @@ class CNetwork:
         buffers = ", ".join(f"{b}[{1 + d} * WIDTH]" for b in ("ab" if hidden else "a"))
         return "\n".join([
             f"/* {self.name}: {shape}, {self.activation} */",
-            f"static necc_real {self.name}(const necc_real v[{d}], necc_real slope[{d}])",
+            f"static necc_real {self.name}_network(const necc_real v[{d}], necc_real slope[{d}])",
             "{",
             f"    necc_real {buffers};",
             "    necc_real value;",
@@ -79,25 +81,33 @@ class CNetwork:
         ])  # fmt: skip
 
 
-def c_network(name: str, network: Network | MonotonePhi, weights: Vector) -> CNetwork:
+def c_network(name: str, network: Network | MonotonePhi, weights: Vector, lanes: int) -> CNetwork:
     """Weights of a trained network, padded for the C code."""
     if isinstance(network, MonotonePhi):
         a, b, d, f = np.split(weights, 4)
         layers = [(np.column_stack([np.exp(b), d]), f), (np.exp(a)[None, :], np.zeros(1))]
         linear = np.array([network.delta, 1.0])
-        return CNetwork(name, 2, "tanh", _padded(layers), linear=linear)
+        return CNetwork(name, 2, "tanh", _padded(layers, lanes), linear=linear)
     quadratic = np.concatenate(network.quadratic_part(weights)) if network.quadratic else None
     layers = network.layers(weights)
-    return CNetwork(name, network.inputs, network.activation, _padded(layers), quadratic)
+    return CNetwork(name, network.inputs, network.activation, _padded(layers, lanes), quadratic)
 
 
-def _padded(layers: list[tuple[Vector, Vector]]) -> tuple[tuple[Vector, Vector], ...]:
-    """Hidden widths rounded up to LANES; the new neurons have weights zero both ways."""
+def _panels(W: Vector, lanes: int) -> Vector:
+    """Four columns at a time, `lanes` rows of each in turn; columns that are left one by one."""
+    rows, columns = W.shape
+    whole = columns - columns % 4
+    fours = W[:, :whole].reshape(rows // lanes, lanes, whole // 4, 4).transpose(2, 0, 3, 1)
+    return np.concatenate([fours.ravel(), W[:, whole:].T.ravel()])
+
+
+def _padded(layers: list[tuple[Vector, Vector]], lanes: int) -> tuple[tuple[Vector, Vector], ...]:
+    """Hidden widths rounded up to whole lanes; the new neurons have weights zero both ways."""
     result, columns = [], layers[0][0].shape[1]
     for index, (W, b) in enumerate(layers):
         last = index == len(layers) - 1
-        rows = W.shape[0] if last else _whole(W.shape[0])
-        columns = _whole(columns) if last else columns
+        rows = W.shape[0] if last else _whole(W.shape[0], lanes)
+        columns = _whole(columns, lanes) if last else columns
         padded, bias = np.zeros((rows, columns)), np.zeros(rows)
         padded[: W.shape[0], : W.shape[1]], bias[: b.size] = W, b
         result.append((padded, bias))
@@ -105,13 +115,13 @@ def _padded(layers: list[tuple[Vector, Vector]]) -> tuple[tuple[Vector, Vector],
     return tuple(result)
 
 
-def _whole(count: int) -> int:
-    return -(-count // LANES) * LANES
+def _whole(count: int, lanes: int) -> int:
+    return -(-count // lanes) * lanes
 
 
-def width(networks: Iterable[CNetwork]) -> int:
+def width(networks: Iterable[CNetwork], lanes: int) -> int:
     """Length of a stream: the widest layer or input."""
-    return max(_whole(max(W.shape)) for network in networks for W, _ in network.layers)
+    return max(_whole(max(W.shape), lanes) for network in networks for W, _ in network.layers)
 
 
 def kernels(networks: Iterable[CNetwork], real: Real) -> str:

@@ -17,7 +17,7 @@
 static void plant_step(necc_real x[NECC_NX], const necc_real u[NECC_NU], necc_real dt)
 {
     static const necc_real fraction[4] = {@rk4_fractions@};
-    static const necc_real weight[4] = {@rk4_weights@};
+    static const necc_real weight[4] = {@rk4_weights@}; /* sixths */
     necc_real k[NECC_NX] = {0}, trial[NECC_NX], next[NECC_NX];
     int i, stage;
     memcpy(next, x, sizeof next);
@@ -26,7 +26,7 @@ static void plant_step(necc_real x[NECC_NX], const necc_real u[NECC_NU], necc_re
             trial[i] = x[i] + dt * fraction[stage] * k[i];
         plant(trial, u, k);
         for (i = 0; i < NECC_NX; ++i)
-            next[i] += dt * weight[stage] * k[i];
+            next[i] += dt * weight[stage] / @six@ * k[i];
     }
     memcpy(x, next, sizeof next);
 }
@@ -47,8 +47,8 @@ int main(int argc, char **argv)
     int i, flags = NECC_OK;
     for (i = 0; i < NECC_NX && i + 2 < argc; ++i)
         x[i] = (necc_real)strtod(argv[i + 2], NULL);
-    necc_init(&state);
-    printf("t@columns@,flags\n");
+    necc_init_at(&state, x);
+    printf("@columns@\n");
     for (step = 0; step < steps; ++step) {
         const necc_state before = state;
         flags = necc_step(&state, x, u, SAMPLE_TIME);

@@ -57,12 +57,14 @@ static int all_finite(const necc_real *v, int count)
 
 @integrator@
 
+@saturation@
 void necc_init(necc_state *state)
 {
     static const necc_real xi[NECC_NXI] = {@xi_star@};
     memcpy(state->xi, xi, sizeof xi);
 }
 
+@init_at@
 int necc_step(necc_state *state, const necc_real x[NECC_NX], necc_real u[NECC_NU], necc_real dt)
 {
     necc_real v[NECC_NU], next[NECC_NXI];
@@ -74,5 +76,5 @@ int necc_step(necc_state *state, const necc_real x[NECC_NX], necc_real u[NECC_NU
         return NECC_REJECTED;
     memcpy(state->xi, next, sizeof next);
     memcpy(u, v, sizeof v);
-    return NECC_OK;
+    return @saturate@;
 }

@@ -16,7 +16,8 @@
 #define NECC_NX @n@ /* plant states */
 #define NECC_NXI @nc@ /* controller states */
 #define NECC_NU @m@ /* inputs */
-@sample_define@
+@sample_define@@sampling@
+
 /* Order and units:
 @order@
  */
@@ -31,19 +32,26 @@ typedef struct {
     necc_real xi[NECC_NXI];
 } necc_state;
 
-/* Flags that necc_step returns, added; 0 when there is nothing to report. */
+/* Flags that a function returns, added; 0 when there is nothing to report. */
 #define NECC_OK 0
+#define NECC_SATURATED 1 /* u was clipped@limits@ */
 #define NECC_REJECTED 2 /* x, xi or dt not finite, dt < 0, or overflow: u = 0, state kept */
+#define NECC_NOT_CONVERGED 4 /* no minimum of V(x0, .) was reached: xi is the best found */
 
 /* xi at the designed equilibrium. */
 void necc_init(necc_state *state);
 
-/* The control law and the controller's dynamics at (x, xi); pure. */
+/* xi at the minimum of V(x0, .) that Newton's method reaches from the designed equilibrium.
+ * Not finite x0: as necc_init, and NECC_REJECTED. */
+int necc_init_at(necc_state *state, const necc_real x0[NECC_NX]);
+
+/* The control law, not saturated, and the controller's dynamics at (x, xi); pure. */
 void necc_control(const necc_real x[NECC_NX], const necc_real xi[NECC_NXI],
                   necc_real u[NECC_NU], necc_real xidot[NECC_NXI]);
 
 /* One sample: u from the measured x and the present xi; then xi advances by dt with x held
- * (@integrator_name@). Apply u until the next sample. Returns the flags above. */
+ * (@integrator_name@). Apply u until the next sample. The dynamics of xi use x alone, so
+ * that a clipped u does not wind them up. */
 int necc_step(necc_state *state, const necc_real x[NECC_NX], necc_real u[NECC_NU], necc_real dt);
 
 #ifdef __cplusplus

@@ -1,8 +1,8 @@
 /* Networks. A vector and its derivatives along each input of the network travel together, as
- * streams of WIDTH numbers each: stream 0 is the value. Weights lie column by column, so that
- * the inner loops run over LANES neighbours and a compiler vectorises them without reordering
- * a sum: the result does not depend on the vector length.
+ * streams of WIDTH numbers each: stream 0 is the value. Sums are added in an order that does not
+ * depend on the processor's vectors.
  */
+
 /* Stream 0 is v, stream 1 + i its derivative along v[i]; zeros up to `columns`. */
 static void start(const necc_real *v, int inputs, int columns, necc_real *in)
 {
@@ -14,18 +14,15 @@ static void start(const necc_real *v, int inputs, int columns, necc_real *in)
     }
 }
 
-/* w.v, added in LANES partial sums that are then added in halves. */
+/* w.v for whole lanes, in eight partial sums that are then added in halves. */
 static necc_real dot(const necc_real *restrict w, int columns, const necc_real *restrict v)
 {
-    necc_real sum[LANES] = {0};
-    int p, k, half;
-    for (p = 0; p < columns; p += LANES)
-        for (k = 0; k < LANES; ++k)
+    necc_real sum[8] = {0};
+    int p, k;
+    for (p = 0; p < columns; p += 8)
+        for (k = 0; k < 8; ++k)
             sum[k] += w[p + k] * v[p + k];
-    for (half = LANES / 2; half > 0; half /= 2)
-        for (k = 0; k < half; ++k)
-            sum[k] += sum[k + half];
-    return sum[0];
+    return ((sum[0] + sum[4]) + (sum[2] + sum[6])) + ((sum[1] + sum[5]) + (sum[3] + sum[7]));
 }
 
 /* The last layer: its value, and its derivative along each input. w ends with the bias. */

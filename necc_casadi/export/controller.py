@@ -1,0 +1,145 @@
+"""``necc.c``: the control law of Lemma 1 and what advances ξ.
+
+With γᵢ = Φ₂ ∂C/∂cᵢ and Φ₁ from the networks,
+
+    ∂V/∂x = Φ₁ ∇H + Σ γᵢ ∂cᵢ/∂x,   ∂V/∂ξ = Φ₁ ∇Hc + Σ γᵢ ∂cᵢ/∂ξ.
+"""
+
+from __future__ import annotations
+
+import casadi as ca
+
+from necc_casadi.export.leaves import leaf
+from necc_casadi.export.networks_c import LANES, CNetwork, c_network, kernels, width
+from necc_casadi.export.source import Source
+from necc_casadi.export.templating import fill, indent
+
+__all__ = ["controller"]
+
+
+def controller(source: Source) -> str:
+    """The text of ``necc.c``."""
+    networks, real = _networks(source), source.number
+    saturation = _saturation(source)
+    return fill(
+        "necc.c",
+        lanes=LANES[source.real],
+        width=width(networks, LANES[source.real]),
+        literal="literal##f" if real.suffix else "literal",
+        weights="\n".join(network.tables(real) for network in networks),
+        kernels=kernels(networks, real),
+        networks="\n".join(network.function(real) for network in networks),
+        leaves="\n".join(_leaves(source)),
+        parts=indent(_parts(source)),
+        shape=indent(_shape(source)),
+        law_arguments=_members(source),
+        integrator=fill(f"{source.integrator}.c"),
+        saturation=saturation,
+        saturate="saturate(u)" if saturation else "NECC_OK",
+        xi_star=real.literals(source.design.xi_star),
+        init_at=_init_at(source),
+    )
+
+
+def _networks(source: Source) -> list[CNetwork]:
+    form = source.design.form
+    names = ["hc", "k", *(f"beta{i + 1}" for i in range(len(form.betas)))]
+    names += ["phi"] if source.neural_phi else []
+    triples = zip(names, form.networks, form.split(source.design.weights), strict=True)
+    return [c_network(*t, LANES[source.real]) for t in triples]
+
+
+def _leaves(source: Source) -> list[str]:
+    """Casimirs, H where Φ is neural, and the law of Lemma 1 given the networks' slopes."""
+    design, real = source.design, source.number
+    terms = design.lyapunov.terms
+    x, xi = ca.SX.sym("x", source.n), ca.SX.sym("xi", source.nc)
+    c = terms.c(ca.vertcat(x, xi))
+    grad_hc, gamma = ca.SX.sym("grad_hc", source.nc), ca.SX.sym("gamma", source.r)
+    phi_1 = ca.SX.sym("phi_1") if source.neural_phi else ca.SX(1)
+    grad_H, G, Gc = terms.grad_H(x), terms.G(x), terms.Gc(xi)
+    V_x = phi_1 * grad_H + ca.jacobian(c, x).T @ gamma
+    V_xi = phi_1 * grad_hc + ca.jacobian(c, xi).T @ gamma
+    u = -Gc.T @ grad_hc - ca.DM(design.D) @ (G.T @ V_x)
+    v_c = -ca.DM(design.Dc) @ (Gc.T @ V_xi)
+    xi_dot = terms.Fc(xi) @ grad_hc + Gc @ (G.T @ grad_H + v_c)
+    slopes = {"grad_hc": grad_hc, "gamma": gamma, "phi_1": phi_1}
+    arguments = [("x", x), ("xi", xi), *((name, slopes[name]) for name in _slopes(source))]
+    leaves = [leaf("casimirs", arguments[:2], [("c", c)], real)]
+    if source.neural_phi:
+        leaves.append(leaf("hamiltonian", arguments[:1], [("H", terms.H(x))], real))
+    leaves.append(leaf("control_law", arguments, [("u", u), ("xidot", xi_dot)], real))
+    leaves.append(leaf("energy_slope", arguments, [("gradient", V_xi)], real))
+    return leaves
+
+
+def _slopes(source: Source) -> list[str]:
+    """What the plant terms need of the networks."""
+    return ["grad_hc", "gamma", *(["phi_1"] if source.neural_phi else [])]
+
+
+def _members(source: Source) -> str:
+    return ", ".join(f"s.{name}" for name in _slopes(source))
+
+
+def _parts(source: Source) -> str:
+    """Members of ``shape_terms``."""
+    parts = ["necc_real value; /* V" + (" */" if source.neural_phi else " - H(x) */")]
+    parts.append("necc_real grad_hc[NECC_NXI];")
+    parts.append(f"necc_real gamma[{source.r}]; /* Phi_2 dC/dc */")
+    if source.neural_phi:
+        parts.append("necc_real phi_1[1];")
+    return "\n".join(parts)
+
+
+def _shape(source: Source) -> str:
+    """Body of ``shape``: the networks at (x, ξ), put together by the chain rule."""
+    variables, casimir = _casimir(source)
+    body = ["hc_value = hc_network(xi, s->grad_hc);", *casimir]
+    if source.neural_phi:
+        variables.append("necc_real H, point[2], slopes[2];")
+        body += [
+            "hamiltonian(x, &H);",
+            "point[0] = H + hc_value;",
+            "point[1] = casimir;",
+            "s->value = phi_network(point, slopes);",
+            "s->phi_1[0] = slopes[0];",
+            *(f"s->gamma[{i}] *= slopes[1];" for i in range(source.r)),
+        ]
+    else:
+        body.append("s->value = hc_value + casimir;")
+    return "\n".join([*variables, *body])
+
+
+def _casimir(source: Source) -> tuple[list[str], list[str]]:
+    """Variables and statements that give C and ∂C/∂c in the joint or the sum form."""
+    r = source.r
+    variables, body = [f"necc_real hc_value, casimir, c[{r}];"], ["casimirs(x, xi, c);"]
+    if not source.design.form.betas:
+        return variables, [*body, "casimir = k_network(c, s->gamma);"]
+    terms = " + ".join(f"beta{i + 1}_network(c + {i}, s->gamma + {i})" for i in range(r))
+    scale = [f"s->gamma[{i}] *= slope;" for i in range(r)]
+    return (
+        [*variables, "necc_real sum, slope;"],
+        [*body, f"sum = {terms};", "casimir = k_network(&sum, &slope);", *scale],
+    )
+
+
+def _saturation(source: Source) -> str:
+    limits = source.design.loop.plant.u_limits
+    if limits is None:
+        return ""
+    low, high = (source.number.literals(side) for side in zip(*limits, strict=True))
+    return fill("saturation.c", low=low, high=high)
+
+
+def _init_at(source: Source) -> str:
+    real = source.number
+    return fill(
+        "init_at.c",
+        law_arguments=_members(source),
+        cbrt_eps=real.literal(float(f"{real.eps ** (1 / 3):.1g}")),
+        tiny=real.literal(float(f"{4 * real.eps:.1g}")),
+        sqrt=f"sqrt{real.suffix}",
+        fabs=f"fabs{real.suffix}",
+    )

@@ -1,0 +1,43 @@
+"""``main.c``: the controller in closed loop with its plant."""
+
+from __future__ import annotations
+
+import casadi as ca
+
+from necc_casadi.export.leaves import leaf
+from necc_casadi.export.source import Source
+from necc_casadi.export.templating import fill
+from necc_casadi.expressions import identifiers
+from necc_casadi.networks import Vector
+from necc_casadi.simulation import domain_box
+
+__all__ = ["demonstration"]
+
+_STEPS = 2000
+
+
+def demonstration(source: Source) -> str:
+    """The text of ``main.c``."""
+    terms, real = source.design.lyapunov.terms, source.number
+    x, u = ca.SX.sym("x", source.n), ca.SX.sym("u", source.m)
+    x_dot = terms.F(x) @ terms.grad_H(x) + terms.G(x) @ u
+    columns = [*source.design.loop.states, *(f"u{i + 1}" for i in range(source.m)), "flags"]
+    return fill(
+        "main.c",
+        sample_time=f"{source.step_time:.6g}",
+        sample_literal=real.literal(source.step_time),
+        plant=leaf("plant", [("x", x), ("u", u)], [("xdot", x_dot)], real),
+        rk4_fractions=real.literals((0, 0.5, 0.5, 1)),
+        rk4_weights=real.literals((1, 2, 2, 1)),
+        six=real.literal(6),
+        digits=9 if real.suffix else 17,
+        x_start=real.literals(_start(source)),
+        steps=_STEPS,
+        columns=",".join(["t", *identifiers(columns)]),
+    )
+
+
+def _start(source: Source) -> Vector:
+    """A quarter of the way from the target to the lower end of the domain, (n,)."""
+    lo, _ = domain_box(source.design)
+    return (0.75 * source.design.z_star + 0.25 * lo)[: source.n]

@@ -1,0 +1,166 @@
+"""The controller as an FMI 2.0 co-simulation unit: the same C, a thin wrapper, a description."""
+
+from __future__ import annotations
+
+import io
+import platform
+import re
+import sys
+import tempfile
+import zipfile
+from collections.abc import Sequence
+from pathlib import Path
+from xml.etree import ElementTree as ET
+
+from necc_casadi.artifact import Design, write_text
+from necc_casadi.export.compiled import compile_shared, find_compiler
+from necc_casadi.export.controller import controller
+from necc_casadi.export.header import header
+from necc_casadi.export.source import Source
+from necc_casadi.export.templating import fill
+from necc_casadi.expressions import identifiers
+
+__all__ = ["export_fmu"]
+
+_SOURCES = ("necc.c", "fmu.c")
+_EPOCH = (2000, 1, 1, 0, 0, 0)  # the same design gives the same archive
+
+
+def export_fmu(
+    design: Design,
+    path: Path,
+    *,
+    real: str = "double",
+    sample_time: float | None = None,
+    integrator: str = "heun",
+    certificate_hash: str | None = None,
+    claims: Sequence[str] = (),
+) -> Path:
+    """Write `path`, sources included, and a binary for this machine where a C compiler is.
+
+    The options are those of :func:`export_c`; `sample_time` is the suggested step.
+
+    Raises
+    ------
+    OptionError
+        As :func:`export_c`.
+    OutputError
+        When the compiler fails or the file cannot be written.
+    """
+    source = Source(design, real, sample_time, integrator, certificate_hash, tuple(claims))
+    guid = f"{{{design.hash[:32]}}}"
+    wrapper = fill("fmu.c", guid=guid, x_star=source.number.literals(design.z_star[: source.n]))
+    texts = {"necc.h": header(source), "necc.c": controller(source), "fmu.c": wrapper}
+    path = Path(path)
+    name = re.sub(r"\W", "_", path.stem, flags=re.ASCII)
+    files: dict[str, str | bytes] = {"modelDescription.xml": _description(source, guid, name)}
+    files |= {f"sources/{file}": text for file, text in texts.items()}
+    compiler = find_compiler()
+    if compiler is not None:
+        folder, suffix = _platform()
+        files[f"binaries/{folder}/{name}{suffix}"] = _binary(compiler, texts)
+    archive = io.BytesIO()
+    with zipfile.ZipFile(archive, "w", zipfile.ZIP_DEFLATED) as bundle:
+        for file, content in files.items():
+            bundle.writestr(zipfile.ZipInfo(file, _EPOCH), content, zipfile.ZIP_DEFLATED)
+    return write_text(path, archive.getvalue())
+
+
+def _platform() -> tuple[str, str]:
+    """Folder and suffix that FMI 2.0 gives binaries of this machine."""
+    systems = {"win32": ("win", ".dll"), "darwin": ("darwin", ".dylib")}
+    system, suffix = systems.get(sys.platform, ("linux", ".so"))
+    bits = platform.architecture()[0][:2]
+    if platform.machine().lower() not in ("x86_64", "amd64", "i386", "i686"):
+        return f"{platform.machine()}-{system}", suffix
+    return system + bits, suffix
+
+
+def _binary(compiler: str, texts: dict[str, str]) -> bytes:
+    with tempfile.TemporaryDirectory(prefix="necc-") as build:
+        folder, target = Path(build), Path(build) / "fmu.so"
+        for name, text in texts.items():
+            (folder / name).write_text(text, encoding="utf-8")
+        sources = [folder / name for name in _SOURCES]
+        compile_shared(compiler, sources, target, ["-O2", "-fvisibility=hidden"])
+        return target.read_bytes()
+
+
+def _description(source: Source, guid: str, name: str) -> str:
+    """``modelDescription.xml``; its order of variables fixes the value references in fmu.c."""
+    design = source.design
+    loop = design.loop
+    root = ET.Element(
+        "fmiModelDescription",
+        fmiVersion="2.0",
+        modelName=loop.plant.name,
+        guid=guid,
+        generationTool="necc-casadi",
+        variableNamingConvention="flat",
+        numberOfEventIndicators="0",
+    )
+    unit = ET.SubElement(
+        root,
+        "CoSimulation",
+        modelIdentifier=name,
+        canHandleVariableCommunicationStepSize="true",
+        canGetAndSetFMUstate="true",
+    )
+    files = ET.SubElement(unit, "SourceFiles")
+    for file in _SOURCES:
+        ET.SubElement(files, "File", name=file)
+    units = [loop.plant.units.get(state) for state in loop.plant.states]
+    definitions = dict.fromkeys(unit for unit in units if unit)
+    if definitions:
+        parent = ET.SubElement(root, "UnitDefinitions")
+        for text in definitions:
+            ET.SubElement(parent, "Unit", name=text)
+    ET.SubElement(root, "DefaultExperiment", stepSize=repr(source.step_time))
+    _variables(root, design, units)
+    _structure(root, loop.plant.n, loop.plant.m, loop.controller.nc)
+    ET.indent(root)
+    return '<?xml version="1.0" encoding="UTF-8"?>\n' + ET.tostring(root, encoding="unicode") + "\n"
+
+
+def _variables(root: ET.Element, design: Design, units: Sequence[str | None]) -> None:
+    """x, u, ξ, flags and start_at_minimum; the order fixes the value references in fmu.c."""
+    loop = design.loop
+    variables = ET.SubElement(root, "ModelVariables")
+    inputs = [f"u{i + 1}" for i in range(loop.plant.m)]
+    *reals, flags, start = identifiers(
+        [*loop.plant.states, *inputs, *loop.controller.states, "flags", "start_at_minimum"]
+    )
+
+    def add(name: str, reference: int, kind: str, attributes: dict[str, str], **words: str) -> None:
+        common = {"name": name, "valueReference": str(reference), **words}
+        ET.SubElement(ET.SubElement(variables, "ScalarVariable", common), kind, attributes)
+
+    for i, name in enumerate(reals):
+        if i < loop.plant.n:
+            unit = {"unit": text} if (text := units[i]) else {}
+            value = {"start": repr(float(design.z_star[i]))}
+            add(name, i, "Real", value | unit, causality="input", variability="continuous")
+        else:
+            words = {"causality": "output", "variability": "continuous", "initial": "calculated"}
+            add(name, i, "Real", {}, **words)
+    add(
+        flags, 0, "Integer", {}, causality="output", variability="discrete", initial="calculated",
+        description="1: u clipped, 2: input not finite, 4: no minimum found",
+    )  # fmt: skip
+    add(
+        start, 0, "Boolean", {"start": "true"}, causality="parameter", variability="fixed",
+        description="xi starts at the minimum of V(x, .)",
+    )  # fmt: skip
+
+
+def _structure(root: ET.Element, n: int, m: int, nc: int) -> None:
+    """U depends on x; ξ and the flags depend on no input, except when ξ starts at the minimum."""
+    structure = ET.SubElement(root, "ModelStructure")
+    on_x = " ".join(str(i + 1) for i in range(n))
+    outputs = range(n + 1, n + m + nc + 2)
+    for name in ("Outputs", "InitialUnknowns"):
+        parent = ET.SubElement(structure, name)
+        for index in outputs:
+            direct = name == "InitialUnknowns" or index <= n + m
+            words = {"index": str(index), "dependencies": on_x if direct else ""}
+            ET.SubElement(parent, "Unknown", words)

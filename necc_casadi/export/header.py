@@ -1,0 +1,85 @@
+"""``necc.h``: the interface, and what the design is and what is known about it."""
+
+from __future__ import annotations
+
+import textwrap
+
+from necc_casadi.export.sampling import analyse_sampling
+from necc_casadi.export.source import Source
+from necc_casadi.export.templating import comment, fill
+
+__all__ = ["header"]
+
+_METHODS = {
+    "euler": "Euler's method",
+    "heun": "Heun's method",
+    "rk4": "the classical Runge-Kutta method",
+}
+
+
+def header(source: Source) -> str:
+    """The text of ``necc.h``."""
+    design, sample = source.design, source.sample_time
+    plant = design.loop.plant
+    targets = zip(plant.states, design.z_star, strict=False)
+    certificate = source.certificate_hash
+    define = f"#define NECC_SAMPLE_TIME {source.number.literal(sample)} /* s */" if sample else ""
+    return fill(
+        "necc.h",
+        title=comment(plant.name),
+        target=comment(", ".join(f"{name} = {value:.6g}" for name, value in targets)),
+        claims=_claims(source),
+        design_hash=design.hash,
+        certificate_define=f'#define NECC_CERTIFICATE "{certificate}"' if certificate else "",
+        n=source.n,
+        nc=source.nc,
+        m=source.m,
+        sample_define=define,
+        sampling=_sampling(source),
+        limits="" if plant.u_limits else "; never: the model has no limits",
+        order=_order(source),
+        real=source.real,
+        integrator_name=_METHODS[source.integrator],
+    )
+
+
+def _claims(source: Source) -> str:
+    if not source.claims:
+        return ": nothing; no certificate came with it."
+    about = " (of the continuous-time loop with\n * exact arithmetic, u not saturated):"
+    return about + "".join(f"\n{_item(comment(claim))}" for claim in source.claims)
+
+
+def _item(text: str) -> str:
+    return textwrap.fill(
+        text, 96, initial_indent=" *   - ", subsequent_indent=" *     ", break_long_words=False
+    )
+
+
+def _sampling(source: Source) -> str:
+    """What is known about the sample time, if there is one."""
+    if source.sample_time is None:
+        return ""
+    result = analyse_sampling(source.design, source.sample_time, source.integrator)
+    radius = f"spectral radius {result.spectral_radius:.6g}"
+    lines = [f"Sampled loop, linearised at its equilibrium: {radius}"]
+    if result.largest_stable is not None:
+        lines.append(f"stable up to {result.largest_stable:.3g} s")
+    if result.warning is not None:
+        lines.append(f"WARNING: {result.warning}")
+    return "\n/* " + ";\n * ".join(lines) + ". */"
+
+
+def _order(source: Source) -> str:
+    loop = source.design.loop
+    inputs = [f"input {i + 1}" for i in range(source.m)]
+    arrays = {"x": loop.plant.states, "xi": loop.controller.states, "u": inputs}
+    return "\n".join(
+        f" *   {array}[{i}]  {comment(name)}{_unit(loop.plant.units.get(name))}"
+        for array, names in arrays.items()
+        for i, name in enumerate(names)
+    )
+
+
+def _unit(unit: str | None) -> str:
+    return f" [{comment(unit)}]" if unit else ""

@@ -1,0 +1,35 @@
+"""The control law as a MATLAB function (MEX), by CasADi's code generator."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from pathlib import Path
+
+import casadi as ca
+
+from necc_casadi.artifact import Design, write_text
+
+__all__ = ["export_mex"]
+
+
+def export_mex(design: Design, path: Path) -> Path:
+    """Write a C file for ``mex``: in MATLAB ``[u, xidot] = necc_control(x, xi)``.
+
+    The file stands alone (``mex -largeArrayDims necc_control.c``). It is the continuous law
+    in double precision, for simulation beside MATLAB's own integrators; for Simulink and for
+    hardware use ``necc.c`` or the FMI unit, which also keep ξ and the input limits.
+
+    Raises
+    ------
+    OutputError
+        When the file cannot be written.
+    """
+    law = design.lyapunov.control_law
+    x, xi = law.mx_in()
+    named = ca.Function("necc_control", [x, xi], law(x, xi), ["x", "xi"], ["u", "xidot"])
+    generator = ca.CodeGenerator("necc_control.c", {"mex": True})
+    generator.add(named)
+    with tempfile.TemporaryDirectory(prefix="necc-") as folder:
+        made = generator.generate(folder + os.sep)  # dump() leaves mexFunction out
+        return write_text(Path(path), Path(made).read_text(encoding="utf-8"))

@@ -1,0 +1,107 @@
+"""OUT/c/README.md: how to use the C code, its size and its time measured on this machine."""
+
+from __future__ import annotations
+
+import platform
+import re
+import shutil
+import subprocess
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+
+from necc_casadi.export.compiled import find_compiler
+from necc_casadi.export.controller import controller
+from necc_casadi.export.header import header
+from necc_casadi.export.source import Source
+from necc_casadi.export.templating import fill
+
+__all__ = ["Measurement", "measure", "readme"]
+
+_FLAGS = (("-O2",), ("-O3", "-march=native"))
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """Size and time of the controller under one set of compiler flags."""
+
+    flags: tuple[str, ...]
+    text: int | None  # bytes of code and constants; None without binutils
+    bss: int | None  # bytes of zeroed memory
+    control: float  # ns for one necc_control
+    step: float  # ns for one necc_step
+
+
+def readme(source: Source, *, measured: bool = True) -> str:
+    """The text of README.md; `measured` runs the compiler, where there is one, for a second."""
+    compiler = find_compiler() if measured else None
+    rows = [m for flags in _FLAGS if compiler and (m := measure(source, compiler, flags))]
+    float_note = ""
+    if source.real == "float":
+        float_note = " The claims in `necc.h` are about exact arithmetic, not about its rounding."
+    return fill(
+        "README.md",
+        title=source.design.loop.plant.name,
+        sample_time=f"{source.step_time:g}",
+        sample_literal=source.number.literal(source.step_time),
+        real=source.real,
+        float_note=float_note,
+        measured=_table(rows, compiler) if rows else "Not measured: no C compiler was at hand.",
+    )
+
+
+def measure(source: Source, compiler: str, flags: tuple[str, ...]) -> Measurement | None:
+    """Compile and time the controller here; None where that fails."""
+    with tempfile.TemporaryDirectory(prefix="necc-") as folder:
+        build = Path(folder)
+        texts = {
+            "necc.h": header(source),
+            "necc.c": controller(source),
+            "timing.c": fill("timing.c"),
+        }
+        for name, text in texts.items():
+            (build / name).write_text(text, encoding="utf-8")
+        options = ["-std=c99", "-ffp-contract=off", *flags]
+        steps = (
+            [compiler, *options, "-c", "necc.c", "-o", "necc.o"],
+            [compiler, *options, "timing.c", "necc.o", "-o", "timing", "-lm"],
+        )
+        if any(_run(step, build) is None for step in steps):
+            return None
+        times = _run(["./timing"], build)
+        if times is None:
+            return None
+        control, step = (float(v) for v in times.split())
+        return Measurement(flags, *_sizes(build / "necc.o"), control, step)
+
+
+def _run(command: list[str], folder: Path) -> str | None:
+    try:
+        done = subprocess.run(
+            command, cwd=folder, capture_output=True, text=True, timeout=60, check=False
+        )
+    except (OSError, subprocess.TimeoutExpired):
+        return None
+    return done.stdout if done.returncode == 0 else None
+
+
+def _sizes(target: Path) -> tuple[int | None, int | None]:
+    """(text with constants, bss) in bytes, by binutils' ``size``."""
+    tool = shutil.which("size")
+    printed = _run([tool, str(target)], target.parent) if tool else None
+    numbers = re.search(r"^\s*(\d+)\s+(\d+)\s+(\d+)", printed or "", re.MULTILINE)
+    return (int(numbers[1]) + int(numbers[2]), int(numbers[3])) if numbers else (None, None)
+
+
+def _table(rows: list[Measurement], compiler: str | None) -> str:
+    lines = [
+        f"Measured at export, {Path(compiler or 'cc').name} on {platform.machine()}, "
+        "best of several blocks:",
+        "",
+        "| flags | code and constants, B | .bss, B | `necc_control`, ns | `necc_step`, ns |",
+        "|---|---|---|---|---|",
+    ]
+    for row in rows:
+        sizes = " | ".join("–" if v is None else str(v) for v in (row.text, row.bss))
+        lines.append(f"| `{' '.join(row.flags)}` | {sizes} | {row.control:.0f} | {row.step:.0f} |")
+    return "\n".join(lines)

@@ -1,0 +1,93 @@
+/* selftest.c: compares the controller with test_vectors.h; exit status 0 when all is well. */
+#include "necc.h"
+#include "test_vectors.h"
+
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+
+static double worst = 0.0; /* largest error, relative to max(1, |expected|) */
+static int failures = 0;
+
+static void compare(const necc_real *got, const double *expected, int count)
+{
+    int i;
+    for (i = 0; i < count; ++i) {
+        const double error = fabs((double)got[i] - expected[i]) / fmax(1.0, fabs(expected[i]));
+        if (!(error <= NECC_TOLERANCE))
+            ++failures;
+        if (!(error <= worst))
+            worst = error;
+    }
+}
+
+static void check(int holds, const char *what)
+{
+    if (!holds) {
+        ++failures;
+        printf("failed: %s\n", what);
+    }
+}
+
+static void check_vector(const necc_vector *v)
+{
+    necc_real u[NECC_NU], xidot[NECC_NXI];
+    necc_state state;
+    int i;
+    necc_control(v->x, v->xi, u, xidot);
+    compare(u, v->u, NECC_NU);
+    compare(xidot, v->xidot, NECC_NXI);
+    for (i = 0; i < NECC_NXI; ++i)
+        state.xi[i] = v->xi[i];
+    check(necc_step(&state, v->x, u, v->dt) == v->flags, "flags of necc_step");
+    compare(u, v->input, NECC_NU);
+    compare(state.xi, v->next, NECC_NXI);
+}
+
+static void check_rejection(necc_real bad)
+{
+    necc_real x[NECC_NX], u[NECC_NU];
+    necc_state state;
+    int i;
+    necc_init(&state);
+    for (i = 0; i < NECC_NX; ++i)
+        x[i] = necc_vectors[0].x[i];
+    x[NECC_NX - 1] = bad;
+    check(necc_step(&state, x, u, necc_vectors[0].dt) == NECC_REJECTED, "rejection");
+    for (i = 0; i < NECC_NU; ++i)
+        check(fpclassify(u[i]) == FP_ZERO, "u = 0 when rejected");
+}
+
+/* Far out and next to zero, the result is finite or rejected. */
+static void check_finite(necc_real far)
+{
+    necc_real x[NECC_NX], u[NECC_NU];
+    necc_state state;
+    int i, flags;
+    necc_init(&state);
+    for (i = 0; i < NECC_NX; ++i)
+        x[i] = far;
+    flags = necc_step(&state, x, u, necc_vectors[0].dt);
+    for (i = 0; i < NECC_NU; ++i)
+        check(isfinite(u[i]), "finite u");
+    for (i = 0; i < NECC_NXI; ++i)
+        check(isfinite(state.xi[i]), "finite xi");
+    flags |= necc_init_at(&state, x);
+    for (i = 0; i < NECC_NXI; ++i)
+        check(isfinite(state.xi[i]), "finite xi of necc_init_at");
+    check((flags & ~(NECC_SATURATED | NECC_REJECTED | NECC_NOT_CONVERGED)) == 0, "known flags");
+}
+
+int main(void)
+{
+    int i;
+    for (i = 0; i < NECC_VECTORS; ++i)
+        check_vector(&necc_vectors[i]);
+    check_rejection((necc_real)NAN);
+    check_rejection((necc_real)INFINITY);
+    check_finite((necc_real)1e30);
+    check_finite((necc_real)-1e30);
+    check_finite((necc_real)1e-40);
+    printf("%d vectors, largest error %.3g, %d failures\n", NECC_VECTORS, worst, failures);
+    return failures == 0 ? EXIT_SUCCESS : EXIT_FAILURE;
+}

@@ -1,0 +1,28 @@
+/* test_vectors.h: what the control law and necc_step return, computed by CasADi in double.
+ *
+ * Inputs are exact in necc_real; an output is right within NECC_TOLERANCE * max(1, |expected|).
+ */
+#ifndef NECC_TEST_VECTORS_H
+#define NECC_TEST_VECTORS_H
+
+#include "necc.h"
+
+#define NECC_VECTORS @count@
+#define NECC_TOLERANCE @tolerance@
+
+typedef struct {
+    necc_real x[NECC_NX];
+    necc_real xi[NECC_NXI];
+    necc_real dt;
+    double u[NECC_NU];         /* of necc_control */
+    double xidot[NECC_NXI];    /* of necc_control */
+    double input[NECC_NU];     /* of necc_step: u within its limits */
+    double next[NECC_NXI];     /* of necc_step: xi after dt */
+    int flags;                 /* of necc_step */
+} necc_vector;
+
+static const necc_vector necc_vectors[NECC_VECTORS] = {
+@vectors@
+};
+
+#endif

@@ -1,0 +1,78 @@
+"""Test vectors for the C code: the control law and one step, evaluated by CasADi in double."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import casadi as ca
+import numpy as np
+
+from necc_casadi.artifact import Design
+from necc_casadi.export.leaves import Real
+from necc_casadi.export.source import Source
+from necc_casadi.export.templating import fill
+from necc_casadi.networks import Vector
+from necc_casadi.simulation import domain_box
+
+__all__ = ["TOLERANCE", "reference_step", "vector_table"]
+
+#: Error that a vector allows, relative to max(1, |expected|).
+TOLERANCE = {"double": 1e-12, "float": 1e-4}
+_COUNT = 16
+_SATURATED = 1
+
+
+def reference_step(design: Design, integrator: str) -> ca.Function:
+    """(x, ξ, dt) -> (u, ξ after dt): one sample with x held, before saturation."""
+    terms, law = design.lyapunov.terms, design.lyapunov.control_law
+    x, xi, dt = ca.MX.sym("x", terms.n), ca.MX.sym("xi", terms.nc), ca.MX.sym("dt")
+    u, k1 = law(x, xi)
+    if integrator == "euler":
+        after = xi + dt * k1
+    elif integrator == "heun":
+        after = xi + dt / 2 * (k1 + law(x, xi + dt * k1)[1])
+    else:
+        k2 = law(x, xi + dt / 2 * k1)[1]
+        k3 = law(x, xi + dt / 2 * k2)[1]
+        after = xi + dt / 6 * (k1 + 2 * k2 + 2 * k3 + law(x, xi + dt * k3)[1])
+    return ca.Function("necc_step", [x, xi, dt], [u, after])
+
+
+def vector_table(source: Source) -> str:
+    """``test_vectors.h``: z*, then points of the middle half of the domain."""
+    design, real, n = source.design, source.number, source.n
+    rng = np.random.default_rng(0)
+    lo, hi = domain_box(design)
+    step = reference_step(design, source.integrator)
+    rows = []
+    for index in range(_COUNT):
+        inside = rng.uniform(0.75 * lo + 0.25 * hi, 0.25 * lo + 0.75 * hi)
+        z = real.rounded(inside if index > 0 else design.z_star)
+        dt = float(real.rounded(np.array(source.step_time * (1 + index % 3) / 3)))
+        u, xi_dot = design.control(z[:n], z[n:])
+        after = np.asarray(step(z[:n], z[n:], dt)[1], float).ravel()
+        limited, flags = _saturated(design, u)
+        rows.append(_row([z[:n], z[n:]], [u, xi_dot, limited, after], dt, flags, real))
+    return fill(
+        "test_vectors.h",
+        count=_COUNT,
+        tolerance=f"{TOLERANCE[real.name]:g}",
+        vectors=",\n".join(rows),
+    )
+
+
+def _saturated(design: Design, u: Vector) -> tuple[Vector, int]:
+    limits = design.loop.plant.u_limits
+    if limits is None:
+        return u, 0
+    limited = np.clip(u, [lo for lo, _ in limits], [hi for _, hi in limits])
+    return limited, _SATURATED if np.any(limited != u) else 0
+
+
+def _row(
+    inputs: Sequence[Vector], outputs: Sequence[Vector], dt: float, flags: int, real: Real
+) -> str:
+    double = Real("double")
+    fields = [f"{{{real.literals(group)}}}" for group in inputs] + [real.literal(dt)]
+    fields += [f"{{{double.literals(group)}}}" for group in outputs]
+    return "    {" + ",\n     ".join(fields) + f", {flags}}}"

@@ -1,0 +1,79 @@
+"""The README's commands and code, run as they stand."""
+
+import re
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parent.parent
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+BIN = Path(sys.executable).parent
+
+
+def blocks(language: str) -> list[str]:
+    fenced = re.findall(r"^```(\w*)\n(.*?)^```$", README, re.DOTALL | re.MULTILINE)
+    return [text for name, text in fenced if name == language]
+
+
+def run(command: str, folder: Path) -> subprocess.CompletedProcess[str]:
+    name, *arguments = shlex.split(command)
+    arguments = [str(ROOT / a) if a.startswith("examples/") else a for a in arguments]
+    return subprocess.run(
+        [BIN / name, *arguments], cwd=folder, capture_output=True, text=True, timeout=120
+    )
+
+
+@pytest.fixture(scope="module")
+def designed(tmp_path_factory):
+    """The main command of the README, run in an empty folder."""
+    folder = tmp_path_factory.mktemp("readme")
+    install, _, command = blocks("bash")[0].strip().partition(" && ")
+    assert install == "python -m pip install ."
+    return folder, run(command, folder)
+
+
+def test_main_command_shows_what_the_readme_shows(designed):
+    folder, done = designed
+    assert done.returncode == 0, done.stderr
+    shown = blocks("")[0].strip().splitlines()
+    assert done.stdout.splitlines()[0] == shown[0]
+    labels = {line.split()[0] for line in shown[1:] if line.startswith("  ")}
+    printed = {line.split()[0] for line in done.stdout.splitlines() if line.startswith("  ")}
+    assert labels <= printed
+    for name in ("design.json", "certificate.json", "c/necc.c", "figures/lyapunov.png"):
+        assert (folder / "pendulum-design" / name).is_file()
+
+
+def test_other_commands_of_the_readme(designed):
+    folder, _ = designed
+    assert run("necc-simulate pendulum-design --x0 0,0 --csv r.csv", folder).returncode == 0
+    assert (folder / "r.csv").read_text().startswith("t,q,p,xi1,u1,V")
+    certified = run("necc-certify pendulum-design", folder)
+    assert certified.returncode == 0, certified.stdout + certified.stderr
+    refusal = next(b for b in blocks("") if b.startswith("necc-design examples/cart_pole"))
+    refused = run(refusal.strip().splitlines()[0], folder)
+    assert refused.returncode == 3
+    assert "theta" in refused.stdout
+
+
+def test_model_and_python_code_of_the_readme(designed, monkeypatch):
+    folder, _ = designed
+    model, usage = blocks("python")
+    (folder / "own.py").write_text(model)
+    done = run("necc-design own.py --target q=pi/4 --check", folder)
+    assert done.returncode == 0, done.stderr
+    monkeypatch.chdir(folder)
+    space: dict[str, object] = {}
+    exec(usage, space)
+    assert space["A"].shape == (3, 3)
+
+
+def test_ci_runs_the_test_command_of_the_readme():
+    command = blocks("bash")[-1].strip()
+    script = (ROOT / ".ci" / "run").read_text()
+    install, test = (part.strip() for part in command.split("&&"))
+    assert test in script
+    assert install in script
