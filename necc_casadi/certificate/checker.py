@@ -622,11 +622,11 @@ class _Core:
 
 
 def _norm(v: Sequence[arb]) -> arb:
-    squares = sum((x * x for x in v), arb(0))
-    if not squares.is_finite():
-        return squares
-    low = squares.lower() if squares.lower() > 0 else arb(0)
-    return low.sqrt().union(squares.upper().sqrt())  # in two halves: a ball around 0 has no root
+    if not all(x.is_finite() for x in v):
+        return arb.nan()
+    ends = [(x.abs_lower(), x.abs_upper()) for x in v]  # a ball around 0 squares badly
+    low, high = (sum((end[k] * end[k] for end in ends), arb(0)) for k in (0, 1))
+    return max(low.lower(), arb(0)).sqrt().union(high.upper().sqrt())
 
 
 def _middle(A: arb_mat) -> np.ndarray[Any, Any]:
