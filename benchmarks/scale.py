@@ -16,6 +16,7 @@ import statistics
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import TypeVar
 
 import numpy as np
@@ -65,7 +66,8 @@ def chain(masses: int, inputs: int) -> Case:
     J = sp.zeros(2 * N, 2 * N)
     J[:N, N:], J[N:, :N] = sp.eye(N), -sp.eye(N)
     driven = (N, 2 * N - 1)[:inputs]
-    H = (sum(v**2 for v in p) + q[-1] ** 2 + sum((b - a) ** 2 for a, b in zip(q, q[1:]))) / 2  # noqa: B905
+    springs = sum((b - a) ** 2 for a, b in pairwise(q)) + q[-1] ** 2
+    H = (sum(v**2 for v in p) + springs) / 2
     at_rest = {q[i]: sp.Rational(N - i, N) for i in range(N)} | dict.fromkeys(p, sp.Integer(0))
     return Case(
         name=f"chain, {inputs} input{'s' * (inputs > 1)}",

@@ -6,6 +6,8 @@ D, Dc ≻ 0. Each of the four is proved here again from the design's own express
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import sympy as sp
 
@@ -107,10 +109,19 @@ def linearisation(potential: Potential, Z: Interval) -> Interval:
     return matmul(M / slope - injected, potential.jet(Z[None, :]).hess[0])
 
 
-def prove_attraction(potential: Potential, equilibrium: Equilibrium) -> Claim:
-    """z̄ is locally asymptotically stable: AᵀP + PA ≺ 0 for some P ≻ 0 and every A enclosed."""
+def prove_attraction(
+    potential: Potential, equilibrium: Equilibrium, claims: Sequence[Claim]
+) -> Claim:
+    """z̄ is locally asymptotically stable: AᵀP + PA ≺ 0 for some P ≻ 0 and every A enclosed.
+
+    A is of ż = (M/Φ₁ − 𝒢𝒟𝒢ᵀ)∇V, which is the damped loop only where M∇C = 0: `claims` say whether
+    that is proved.
+    """
     if not equilibrium.proved:
         return Claim("attraction", False, "no equilibrium is proved, so none is proved to attract")
+    if not all(claim.holds for claim in claims if claim.name == "casimir"):
+        text = "z̄ need not be an equilibrium of the loop: the Casimir condition is not proved"
+        return Claim("attraction", False, text)
     with np.errstate(all="ignore"):
         A = linearisation(potential, equilibrium.box)
         abscissa = _abscissa(A.mid)

@@ -117,7 +117,7 @@ def certify(design: Design, *, region: bool = True, report: Report | None = None
     equilibrium = prove_equilibrium(potential)
     told("decrease", 0.5)
     claims = [_equilibrium_claim(equilibrium), *prove_decrease(design)]
-    claims.append(prove_attraction(potential, equilibrium))
+    claims.append(prove_attraction(potential, equilibrium, claims))
     stability = None
     if equilibrium.proved and claims[-2].holds:
         stability = "asymptotic" if claims[-1].holds else None
