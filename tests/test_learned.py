@@ -97,7 +97,8 @@ def test_nothing_is_certified(learned):
 
 def test_the_linearised_loop_is_not_the_gradient_form(learned):
     """Why attraction may not be claimed: (M/Φ₁ − 𝒢𝒟𝒢ᵀ)∇V is another field than the loop's."""
-    V, loop, away = learned.lyapunov, learned.loop, learned.z_star + [0.7, -0.6, 0.5]
+    V, loop, away = learned.lyapunov, learned.loop, learned.z_star.copy()
+    away += (0.7, -0.6, 0.5)
     ports = np.array(loop.ports.tolist(), float)
     m = loop.plant.m
     damping = np.block([[learned.D, np.zeros((m, m))], [np.zeros((m, m)), learned.Dc]])
