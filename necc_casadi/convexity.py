@@ -37,18 +37,24 @@ def least_kappa(
     hessians = _hessians(terms, scales, verdict, np.concatenate([x_star, xi_star]))
     relative = np.outer(scales.state, scales.state) / scales.energy
 
-    def convex(kappa: float) -> bool:
+    def lowest(kappa: float) -> tuple[float, float]:
         at_target, around = hessians(kappa)
-        return bool(
-            np.linalg.eigvalsh(at_target)[0] >= _TO_SPARE * a
-            and np.linalg.eigvalsh(around * relative).min() >= _MARGIN
-        )
+        least = np.linalg.eigvalsh(at_target)[0], np.linalg.eigvalsh(around * relative).min()
+        return float(least[0]), float(least[1])
+
+    # invisible directions have the curvature of H and no more: ask for what can be reached
+    top, margin = lowest(_STIFFEST)
+    if top <= a or margin <= 0:
+        return KAPPA_MIN
+    needed = min(_TO_SPARE * a, (a + top) / 2), min(_MARGIN, margin / 2)
+
+    def convex(kappa: float) -> bool:
+        reached = lowest(kappa)
+        return reached[0] >= needed[0] and reached[1] >= needed[1]
 
     upper = 1.0
-    while not convex(upper):
+    while upper < _STIFFEST and not convex(upper):
         upper *= 2
-        if upper > _STIFFEST:
-            return KAPPA_MIN
     lower = 0.0 if upper == 1.0 else upper / 2
     for _ in range(20):
         middle = (lower + upper) / 2

@@ -11,6 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from necc_casadi.certificate.definite import Truth, positive_definite
 from necc_casadi.certificate.enclosures import Potential
@@ -25,6 +26,8 @@ _SHELLS = 16
 #: Cells per axis of the box around the ellipsoid, by dimension, about.
 _PARTS = {2: 64, 3: 24, 4: 14, 5: 8}
 _FEWEST_PARTS = 4
+#: More cells than this would not fit into memory: no region is claimed then.
+_MOST_CELLS = 300_000
 #: How far below its estimate ν is tried, in this order.
 _SLACK = (0.01, 0.03, 0.1, 0.3, 1.0, 3.0)
 
@@ -71,6 +74,9 @@ def _shells(potential: Potential, center: Vector, L: Vector, radius: float) -> C
     central = Interval(center - step / 2, center + step / 2)[None, :]
     if not lower_curvature(potential.lower_hessian(central), L)[0] > 0:
         return None
+    first, last = _corners(center, L, radius, step)
+    if np.prod(last - first + 1.0) > _MOST_CELLS:
+        return None
     cells, lowest, highest = ellipsoid_cells(center, L, radius, step)
     nu_cell = lower_curvature(potential.lower_hessian(cells), L)
     outer = radius * np.arange(1, _SHELLS + 1) / _SHELLS
@@ -91,6 +97,15 @@ def half_axes(L: Vector, radius: float) -> Vector:
     return np.asarray(radius * np.sqrt((inverse**2).sum(0)) * (1 + 1e-9), float)
 
 
+def _corners(
+    center: Vector, L: Vector, radius: float, step: Vector
+) -> tuple[npt.NDArray[np.int_], npt.NDArray[np.int_]]:
+    """First and last cell of the box around the ellipsoid on each axis, (d,) each."""
+    half = half_axes(L, radius)
+    low, high = (np.floor(end / step).astype(int) for end in (center - half, center + half))
+    return low, high
+
+
 def ellipsoid_cells(
     center: Vector, L: Vector, radius: float, step: Vector
 ) -> tuple[Interval, Vector, Vector]:
@@ -98,9 +113,7 @@ def ellipsoid_cells(
 
     Such cells share their shadows on planes, where the networks live, so few are evaluated.
     """
-    half = half_axes(L, radius)
-    first = np.floor((center - half) / step).astype(int)
-    last = np.floor((center + half) / step).astype(int)
+    first, last = _corners(center, L, radius, step)
     ranges = [range(a, b + 1) for a, b in zip(first, last, strict=True)]
     index = np.stack([v.ravel() for v in np.meshgrid(*ranges, indexing="ij")], -1)
     cells = Interval(index * step, (index + 1) * step)
