@@ -13,6 +13,7 @@ import argparse
 import platform
 import statistics
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -30,6 +31,7 @@ from necc_casadi import (
     paper_options,
     parse_target,
 )
+from necc_casadi.export import compile_controller
 from necc_casadi.simulation import random_states
 
 MODEL = Path(__file__).parent.parent / "examples" / "pendulum.py"
@@ -61,8 +63,6 @@ def designer() -> Callable[[Options], Design]:
 
 
 def _forms(hidden: tuple[tuple[int, ...], tuple[int, ...]], seed: int) -> dict[str, Options]:
-    from dataclasses import replace
-
     sizes = {"hidden_k": hidden[0], "hidden_h": hidden[1], "seed": seed}
     return {
         "`--paper`": replace(paper_options(1), **sizes),
@@ -137,11 +137,13 @@ def control_table(make: Callable[[Options], Design], seeds: int) -> None:
 
 
 def _responses(made: Design, x0s: Sequence[np.ndarray]) -> list[LoopMetrics]:
+    law = compile_controller(made)  # the exported C, called from Python: the quickest route
+
     def u(x: np.ndarray, xi: np.ndarray) -> np.ndarray:
-        return made.control(x, xi)[0]
+        return law.control(x, xi)[0]
 
     def xi_dot(x: np.ndarray, xi: np.ndarray) -> np.ndarray:
-        return made.control(x, xi)[1]
+        return law.control(x, xi)[1]
 
     xi = made.xi_star
     return closed_loop_metrics(u, xi_dot, float(xi[0]), np.pi / 4, x0s, [xi] * len(x0s), HORIZON)

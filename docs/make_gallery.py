@@ -72,7 +72,8 @@ def outcome(path: Path, target: str | None, index: int) -> str:
     ]
     if found.design is not None:
         name = f"{path.stem}-{index}.png"
-        write_figure(responses_figure(found.design, found.responses), DOCS / "images" / name)
+        figure = responses_figure(found.design, found.responses)
+        write_figure(figure, DOCS / "images" / name, dpi=70)
         held = [c.statement for c in found.certificate.claims if c.holds and c.name != "casimir"]
         rows += [f"Proved: {'; '.join(held)}.\n", f"![closed-loop responses](images/{name})\n"]
     return "\n".join(rows)

@@ -42,11 +42,11 @@ class SweepPoint:
     bound_rigorous: float | None  # g/μ, None where nothing was proved
 
 
-def write_figure(figure: Figure, path: Path) -> Path:
+def write_figure(figure: Figure, path: Path, dpi: int = 120) -> Path:
     """Write a PNG whole or not at all."""
     buffer = io.BytesIO()
     FigureCanvasAgg(figure)
-    figure.savefig(buffer, format="png", dpi=120)
+    figure.savefig(buffer, format="png", dpi=dpi)
     return write_text(path, buffer.getvalue())
 
 

@@ -25,8 +25,9 @@ Vector = npt.NDArray[np.float64]
 KAPPA_MIN = 0.05
 #: Output layers start this much smaller beside a quadratic part.
 _SMALL_OUTPUT = 0.1
-#: Cost of a change in a hidden layer relative to the output layer, in which V is linear.
-_HIDDEN_COST = 100.0
+#: Cost of a change in a hidden layer relative to the output layer, in which V is linear: hidden
+#: layers nearly keep their random features, and the Gauss–Newton Hessian is accurate.
+_HIDDEN_COST = 1000.0
 #: Cost of moving the centre of a quadratic part: weak, its place is free.
 _CENTER_COST = 1e-2
 
