@@ -8,8 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import PENDULUM
-from test_cli import check_refusal, design
+from test_cli import check_refusal, design, here
 
+from necc_casadi import cli
 from necc_casadi.artifact import Design
 
 EXAMPLES = PENDULUM.parent
@@ -157,10 +158,16 @@ def long_chain(tmp_path) -> Path:
 
 
 def test_the_summary_of_a_large_plant_is_short(tmp_path):
-    """A page, whatever the number of states; the JSON has them all."""
+    """A page, whatever the number of states; the JSON has them all.
+
+    Too many coupled states for a search of the domain: V is proved convex everywhere instead, and
+    the checker confirms it.
+    """
     path = long_chain(tmp_path)
     code, text, _ = design(path, "--no-plots", *SMALL, "--out", tmp_path / "o")
-    assert code in (0, 4)
+    assert code == 0, text
+    assert "globally asymptotically stable" in text
+    assert here(cli._certify, tmp_path / "o")[0] == 0
     assert len(text.splitlines()) < 45
     assert max(map(len, text.splitlines())) <= 110
     assert "zeros not listed" in text

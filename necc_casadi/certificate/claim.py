@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 __all__ = ["Claim"]
 
@@ -15,4 +16,4 @@ class Claim:
     name: str
     holds: bool
     statement: str
-    data: Mapping[str, float] = field(default_factory=dict)
+    data: Mapping[str, Any] = field(default_factory=dict)  # numbers that the checker needs

@@ -135,9 +135,12 @@ def certify(design: Design, *, region: bool = True, report: Report | None = None
     proof = prove_region(potential, equilibrium)
     everywhere = _global_claim(design, stability)
     told("region", 1.0)
+    # the whole space is a region: where it is proved, a level set in the domain may be missing
+    needed = proof.region is not None or not everywhere.holds
+    around = [_region_claim(design, proof, stability)] if needed else []
     return replace(
         certificate,
-        claims=(*certificate.claims, _region_claim(design, proof, stability), everywhere),
+        claims=(*certificate.claims, *around, everywhere),
         is_global=everywhere.holds,
         level=None if proof.region is None else proof.region.level,
         limited_by=proof.limited_by,
@@ -149,10 +152,11 @@ def certify(design: Design, *, region: bool = True, report: Report | None = None
 def _global_claim(design: Design, stability: str) -> Claim:
     missing = "z̄ is not proved to attract"
     if stability == "asymptotic":
-        reason = why_not_global(design, quadratic_states(design))
+        resting = quadratic_states(design)
+        reason = why_not_global(design, resting)
         if reason is None:
             text = "z̄ is globally asymptotically stable: every solution converges to it"
-            return Claim("global", True, text)
+            return Claim("global", True, text, {"resting": list(resting)})
         missing = reason
     return Claim("global", False, f"no global claim: {missing}")
 
