@@ -203,7 +203,7 @@ _output = grouped("Output")
 @_output("--debug", is_flag=True, help="Show IPOPT's iterations and tracebacks.")
 @click.version_option(__version__, prog_name="necc-design")
 def _design(model: Path, **options: Any) -> int:
-    r"""Design a certified energy-Casimir controller for the plant in MODEL.
+    """Design a certified energy-Casimir controller for the plant in MODEL.
 
     MODEL is a Python file that defines x, J, R, G and H with sympy. It is run as your own code.
 
@@ -300,7 +300,7 @@ def _design(model: Path, **options: Any) -> int:
 @_output("--debug", is_flag=True, help="Show tracebacks.")
 @click.version_option(__version__, prog_name="necc-simulate")
 def _simulate(out: Path, **options: Any) -> int:
-    r"""Simulate the design in the folder OUT that necc-design wrote.
+    """Simulate the design in the folder OUT that necc-design wrote.
 
     \b
     Examples:
@@ -378,7 +378,7 @@ def _response_text(made: Design, response: Trajectory) -> str:
 @_output("--debug", is_flag=True, help="Show tracebacks.")
 @click.version_option(__version__, prog_name="necc-certify")
 def _certify(out: Path, **options: Any) -> int:
-    r"""Prove again, with other arithmetic, what OUT/certificate.json claims about OUT/design.json.
+    """Prove again, with other arithmetic, what OUT/certificate.json claims about OUT/design.json.
 
     \b
     Exit codes:

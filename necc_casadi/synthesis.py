@@ -92,6 +92,7 @@ def design(
         Called with the outcome of each start of the solver.
     """
     options = options or Options()
+    casimirs = _finite_at(casimirs, x_star)
     if options.learn_casimir:
         casimirs = state_inputs(loop, casimirs)
         options = replace(options, casimir_form="joint", hidden_k=_LEARNED_HIDDEN)
@@ -150,6 +151,17 @@ def design(
         else None,
     )
     return Design.from_text(made.text)
+
+
+def _finite_at(casimirs: Casimirs, x_star: Mapping[sp.Symbol, sp.Expr]) -> Casimirs:
+    """The Casimirs without poles at the target: V must be smooth there."""
+    singular = (sp.zoo, sp.nan, sp.oo, -sp.oo)
+    finite = [c for c in casimirs.functions if not c.subs(x_star).has(*singular)]
+    if len(finite) == len(casimirs.functions):
+        return casimirs
+    kept = [casimirs.functions.index(c) for c in finite]
+    origins = tuple(casimirs.origins[i] for i in kept) if casimirs.origins else ()
+    return replace(casimirs, functions=tuple(finite), origins=origins)
 
 
 def _form(options: Options, nc: int, r: int) -> Form:

@@ -17,6 +17,7 @@ from necc_casadi.interrupts import interruptible
 
 __all__ = ["GroupedCommand", "Progress", "grouped", "run"]
 
+_UNGROUPED = "Other"
 INTERNAL_FAULT, BAD_INPUT, INTERRUPTED = 1, 2, 130
 
 
@@ -45,10 +46,10 @@ class GroupedCommand(click.Command):
         sections: dict[str, list[tuple[str, str]]] = {}
         for parameter in self.get_params(ctx):
             record = parameter.get_help_record(ctx)
-            if record is not None:
-                heading = getattr(parameter, "group", "Other")
+            if record is not None and isinstance(parameter, click.Option):
+                heading = getattr(parameter, "group", _UNGROUPED)
                 sections.setdefault(heading, []).append(record)
-        for heading, records in sections.items():
+        for heading, records in sorted(sections.items(), key=lambda item: item[0] == _UNGROUPED):
             with formatter.section(heading):
                 formatter.write_dl(records)
 
