@@ -162,6 +162,7 @@ def _certificate(certificate: Certificate) -> dict[str, Any]:
             {"name": c.name, "holds": c.holds, "statement": c.statement} for c in certificate.claims
         ],
         "level": certificate.level,
+        "level_u": certificate.level_u,
         "limited_by": certificate.limited_by,
         "domain_share": certificate.domain_share,
         "global": certificate.is_global,
