@@ -19,6 +19,7 @@ from necc_casadi.artifact import Design, write_text
 from necc_casadi.assignability import Verdict, judge
 from necc_casadi.casimirs import Casimirs, find_casimirs
 from necc_casadi.certificate import Certificate, certify
+from necc_casadi.certificate.structure import quadratic_states
 from necc_casadi.errors import OptionError, OutputError
 from necc_casadi.figures import (
     SweepPoint,
@@ -33,7 +34,7 @@ from necc_casadi.loop import interconnect
 from necc_casadi.model_file import Model, damping_matrix, load_model
 from necc_casadi.report import Findings, design_block
 from necc_casadi.sampling import check_model_at
-from necc_casadi.simulation import random_states, simulate
+from necc_casadi.simulation import random_states, simulate, simulated_share
 from necc_casadi.structures import suggest_controllers
 from necc_casadi.synthesis import Options, design, paper_options
 from necc_casadi.target import (
@@ -181,10 +182,11 @@ class _Making:
         return certificate
 
     def simulate(self, made: Design) -> None:
-        """Responses from random states of the domain."""
+        """Responses from random states of the domain, and the share from which it converges."""
         with self.stage("simulate", "simulating"):
             states = random_states(made, _RESPONSES, made.seed)
             self.found.responses = [simulate(made, x0) for x0 in states]
+            self.found.simulated_share = simulated_share(made, quadratic_states(made), made.seed)
 
     def export(self, made: Design, certificate: Certificate) -> None:
         """The C controller, and what was asked for around it."""

@@ -42,6 +42,7 @@ class Findings:
     design: Design | None = None
     certificate: Certificate | None = None
     responses: Sequence[Trajectory] = ()
+    simulated_share: float | None = None  # of the domain, momenta at rest
     sampling: Sampling | None = None
     sweep: Sequence[SweepPoint] = ()
     notes: list[str] = field(default_factory=list)
@@ -129,7 +130,9 @@ def to_json(found: Findings) -> dict[str, Any]:
         "target": {str(s): float(sp.N(found.x_star[s])) for s in loop.plant.x},
         "verdict": None if verdict is None or casimirs is None else _verdict(verdict, casimirs),
         "design": None if found.design is None else design_block(found.design, found.certificate),
-        "certificate": None if found.certificate is None else _certificate(found.certificate),
+        "certificate": None
+        if found.certificate is None
+        else _certificate(found.certificate, found.simulated_share),
         "responses": [_response(r) for r in found.responses] or None,
         "sampling": None if found.sampling is None else vars(found.sampling),
         "sweep": [vars(p) for p in found.sweep] or None,
@@ -158,14 +161,16 @@ def _verdict(verdict: Verdict, casimirs: Casimirs) -> dict[str, Any]:
     }
 
 
-def _certificate(certificate: Certificate) -> dict[str, Any]:
+def _certificate(certificate: Certificate, simulated_share: float | None) -> dict[str, Any]:
     return {
         "claims": [
             {"name": c.name, "holds": c.holds, "statement": c.statement} for c in certificate.claims
         ],
         "level": certificate.level,
+        "level_u": certificate.level_u,
         "limited_by": certificate.limited_by,
         "domain_share": certificate.domain_share,
+        "simulated_share": simulated_share,
         "global": certificate.is_global,
     }
 
@@ -347,4 +352,9 @@ def _responses(found: Findings) -> str:
         slowest = max(r.settling_time for r in settled)
         text += f", the slowest in {slowest:.3g} s"
     peak = max(r.peak_input for r in found.responses)
+    if found.simulated_share is not None:
+        text += (
+            f"; the loop converges from {found.simulated_share:.0%} of random states of the "
+            "domain, momenta at rest"
+        )
     return f"{text}; peak |u| {peak:.3g} (simulated)"

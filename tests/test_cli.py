@@ -28,7 +28,8 @@ VERDICT = {"assignable", "reason", "stability", "a_max", "casimirs", "casimir_co
            "kernel_rank", "casimir_count_generic"}  # fmt: skip
 MADE = {"xi_star", "a", "a_requested", "loss", "gradient_norm", "hessian_min_eig", "z_bar",
         "distance", "bound_paper", "bound_rigorous", "spectral_abscissa", "stability"}  # fmt: skip
-CERTIFICATE = {"claims", "level", "limited_by", "domain_share", "global"}
+CERTIFICATE = {"claims", "level", "level_u", "limited_by", "domain_share",
+               "simulated_share", "global"}  # fmt: skip
 
 
 def process(code, *arguments, cwd, **options):

@@ -102,6 +102,7 @@ class Model:
             name: tuple(self._read(v) for v in bounds) for name, bounds in model["domain"].items()
         }
         self.verdict = data["verdict"]
+        self.u_limits: list[list[float]] | None = model["u_limits"]
 
     def _read(self, text: str) -> sp.Expr:
         return parse(text, self.symbols)

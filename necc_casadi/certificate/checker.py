@@ -34,6 +34,8 @@ _NEWTON_STEPS = 60
 
 #: How often a box may be halved before a test on it counts as failed.
 _DEPTH = 14
+#: The same where inputs are bounded: small levels need small boxes.
+_INPUT_DEPTH = 28
 
 
 @dataclass(frozen=True)
@@ -89,6 +91,14 @@ class _Checker:
     ) -> None:
         self.model, self.certificate, self.claimed = model, certificate, claimed
         self.full = Energy(model, range(len(model.z)))
+        self._reduced: dict[tuple[int, ...], Energy] = {}
+
+    def reduced(self, active: Sequence[int]) -> Energy:
+        """V in some of the states, the others at rest; one object, which keeps its results."""
+        key = tuple(active)
+        if key not in self._reduced:
+            self._reduced[key] = Energy(self.model, active)
+        return self._reduced[key]
 
     def everything(self) -> list[Checked]:
         results = [self.equilibrium(), self.casimir(), self.structure(), self.slope()]
@@ -105,6 +115,9 @@ class _Checker:
         settled = results[-1].holds
         if "region" in self.claimed or self.certificate["region"] is not None:
             results.append(self.region(settled, stability))
+        limits = self.claimed.get("input_limits", {"holds": False})["holds"]
+        if limits or self.certificate["level_u"] is not None:
+            results.append(self.input_limits(results[-1].name == "region" and results[-1].holds))
         claimed = self.claimed.get("global", {"holds": False})["holds"]
         if claimed or self.certificate["is_global"]:
             results.append(self.everywhere(settled and stability == "asymptotic"))
@@ -292,14 +305,12 @@ class _Checker:
         level, active = float(region["level"]), [int(i) for i in region["active"]]
         resting = [i for i in range(len(self.model.z)) if i not in active]
         text = f"the component of {{V ≤ {level:.6g}}} around z̄ is invariant and in the domain"
-        energy = Energy(self.model, active)
+        energy = self.reduced(active)
         z_bar = self._z_bar(active)
         bottom = energy.value(z_bar)
         holds = level == self.certificate["level"] and bool(bottom < level)
         holds = holds and self._at_rest(resting) and self._momenta(resting, active, level, bottom)
-        proofs: dict[str, type[_Grid] | type[_Core]] = {"grid": _Grid, "core": _Core}
-        proof = proofs[region["method"]]
-        holds = holds and proof(self, energy, region, z_bar).holds(
+        holds = holds and _PROOFS[region["method"]](self, energy, region, z_bar).holds(
             self.claimed["region"]["data"], self.certificate["domain_share"]
         )
         converges = stability == "asymptotic" and self._invariant_points(resting)
@@ -311,6 +322,20 @@ class _Checker:
         elif stability == "asymptotic":
             text += "; z̄ is locally asymptotically stable"
         return Checked("region", holds, text)
+
+    def input_limits(self, sound: bool) -> Checked:
+        """U stays within the model's limits wherever V ≤ c_u on the cells of the region."""
+        level, region = self.certificate["level_u"], self.certificate["region"]
+        if level is None or self.model.u_limits is None or not sound:
+            return Checked("input_limits", False, "no input limits are proved to be kept")
+        active = [int(i) for i in region["active"]]
+        energy, z_bar = self.reduced(active), self._z_bar(active)
+        proof = _PROOFS[region["method"]](self, energy, region, z_bar)
+        inputs = _Inputs(self.model, energy, float(level))
+        holds = bool(energy.value(z_bar) < float(level)) and float(level) <= float(region["level"])
+        holds = holds and inputs.covered() and all(inputs.kept(box) for box in proof.boxes())
+        text = f"u stays within its limits on {{V ≤ {float(level):.6g}}} around z̄"
+        return Checked("input_limits", holds, text)
 
     def _at_rest(self, resting: Sequence[int]) -> bool:
         """H = ½ sᵀA(y)s + U(y) in the resting plant states s, which no Casimir contains."""
@@ -423,6 +448,10 @@ class _Grid:
             ((f + k) * h, (f + k + 1) * h)
             for f, k, h in zip(self.first, cell, self.step, strict=True)
         )
+
+    def boxes(self) -> list[Box]:
+        """Boxes that cover the region."""
+        return [self.box(cell) for cell in self.cells]
 
     def holds(self, data: Mapping[str, Any], share: float) -> bool:
         return (
@@ -581,6 +610,10 @@ class _Core:
             height, slope, inner = height + width * (slope + end) / 2, end, arb(outer)
         return bool(height > self.level)
 
+    def boxes(self) -> list[Box]:
+        """Boxes that cover the region."""
+        return self._cells()
+
     def _cells(self) -> list[Box]:
         """Cells at multiples of the step that may meet the ellipsoid."""
         axes = []
@@ -631,6 +664,71 @@ class _Core:
             return _positive(self.P * arb(self.above) - self.energy.hessian(piece, -1), 0)
 
         return everywhere(box, test, 10)
+
+
+_PROOFS: dict[str, type[_Grid] | type[_Core]] = {"grid": _Grid, "core": _Core}
+
+
+class _Inputs:
+    """u = −Gcᵀ∇Hc − D Gᵀ ∂V/∂x over boxes, the momenta s within ½ δ sᵀAs ≤ c_u − V(y, 0)."""
+
+    def __init__(self, model: Model, energy: Energy, level: float) -> None:
+        self.model, self.energy, self.level = model, energy, level
+        self.resting = [i for i in range(len(model.z)) if i not in energy.active]
+        self.driven = [
+            (k, i) for k, i in enumerate(energy.active) if i < model.n and any(model.G.row(i))
+        ]
+        s = [model.z[i] for i in self.resting]
+        self.A = sp.hessian(model.H, s) if s else sp.zeros(0)
+
+    def covered(self) -> bool:
+        """Whether the momenta enter u through Gᵀ Φ₁ A s alone."""
+        model, s = self.model, [self.model.z[i] for i in self.resting]
+        if not s:
+            return True
+        coupled = any(self.A.has(model.z[i]) for _, i in self.driven)
+        return not (coupled or model.G.has(*s) or (self.driven and self.energy.phi is not None))
+
+    def kept(self, box: Box) -> bool:
+        """Whether u is within the limits wherever V ≤ c_u over a box."""
+        return everywhere(box, self._within, _INPUT_DEPTH)
+
+    def _within(self, box: Box) -> bool:
+        room = self.level - self.energy.value(box)
+        if room < 0:
+            return True
+        if not room.is_finite():
+            return False
+        model, gradient = self.model, self.energy.gradient(box)
+        values = {v: ball(*b) for v, b in zip(self.energy.variables, box, strict=True)}
+        slopes = self.energy.hc(box[-model.nc :])[1]
+        G = [[evaluate(e, values) for e in row] for row in model.G.tolist()]
+        Gc = [[evaluate(e, values) for e in row] for row in model.Gc.tolist()]
+        stiff = [[evaluate(e, values) for e in row] for row in self.A.tolist()]
+        for k, (lo, hi) in enumerate(model.u_limits or ()):
+            damped = [sum((model.D[k][j] * g for j, g in enumerate(row)), arb(0)) for row in G]
+            u = -sum((Gc[j][k] * slope for j, slope in enumerate(slopes)), arb(0))
+            u = u - sum((damped[i] * gradient[at] for at, i in self.driven), arb(0))
+            swing = self._swing([damped[i] for i in self.resting], stiff, room)
+            if not (bool(u - swing >= float(lo)) and bool(u + swing <= float(hi))):
+                return False
+        return True
+
+    def _swing(self, w: list[arb], A: list[list[arb]], room: arb) -> arb:
+        """The most that Φ₁ wᵀAs can be."""
+        form = sum((a * x * y for x, row in zip(w, A, strict=True)
+                    for y, a in zip(w, row, strict=True)), arb(0))  # fmt: skip
+        most = (form * 2 * room.upper()).upper()
+        if not most.is_finite():
+            return arb("inf")
+        phi = self.energy.phi
+        root = most.max(arb(0)).sqrt()
+        if phi is None:
+            return arb(root.upper())
+        first, second = phi.layers[0][0], phi.layers[1][0]
+        delta = arb(self.model.form["phi"]["delta"])
+        slope = sum((first[i, 0] * second[0, i] for i in range(first.nrows())), delta)
+        return arb((root * slope / delta.sqrt()).upper())
 
 
 # --- small tools ----------------------------------------------------------------------------------

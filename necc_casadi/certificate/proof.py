@@ -15,6 +15,7 @@ from necc_casadi.certificate.enclosures import Potential
 from necc_casadi.certificate.equilibrium import Equilibrium, prove_equilibrium
 from necc_casadi.certificate.everywhere import why_not_global
 from necc_casadi.certificate.intervals import self_test
+from necc_casadi.certificate.limits import input_level
 from necc_casadi.certificate.region import CoreRegion, GridRegion, Proof, Region, prove_region
 from necc_casadi.certificate.structure import critical_points_are_invariant, quadratic_states
 from necc_casadi.errors import OutputError
@@ -43,6 +44,7 @@ class Certificate:
     bound_rigorous: float | None  # ‖z̄ − z*‖ ≤ g/μ
     stability: str | None  # "asymptotic", "stable" or None
     level: float | None = None  # c of the region {V ≤ c}
+    level_u: float | None = None  # c_u ≤ c with u within its limits on {V ≤ c_u}
     limited_by: str | None = None
     domain_share: float | None = None  # of the domain, momenta at rest: a lower bound
     is_global: bool = False
@@ -134,14 +136,19 @@ def certify(design: Design, *, region: bool = True, report: Report | None = None
         return replace(certificate, claims=(*certificate.claims, missing))
     proof = prove_region(potential, equilibrium)
     everywhere = _global_claim(design, stability)
-    told("region", 1.0)
     # the whole space is a region: where it is proved, a level set in the domain may be missing
     needed = proof.region is not None or not everywhere.holds
-    around = [_region_claim(design, proof, stability)] if needed else []
+    claims = [_region_claim(design, proof, stability)] if needed else []
+    level_u = None
+    if design.loop.plant.u_limits is not None:
+        level_u = _input_level(design, proof, equilibrium)
+        claims.append(_limits_claim(design, proof, level_u))
+    told("region", 1.0)
     return replace(
         certificate,
-        claims=(*certificate.claims, *around, everywhere),
+        claims=(*certificate.claims, *claims, everywhere),
         is_global=everywhere.holds,
+        level_u=level_u,
         level=None if proof.region is None else proof.region.level,
         limited_by=proof.limited_by,
         domain_share=proof.shares.get("domain_share"),
@@ -176,6 +183,25 @@ def _region_claim(design: Design, proof: Proof, stability: str) -> Claim:
         return Claim("region", True, f"{where}; every solution from Ω converges to z̄", proof.shares)
     text = f"{where}; Ω is invariant, and z̄ locally asymptotically stable"
     return Claim("region", True, text, proof.shares)
+
+
+def _input_level(design: Design, proof: Proof, equilibrium: Equilibrium) -> float | None:
+    if proof.region is None:
+        return None
+    active = proof.region.active
+    reduced = Potential(design, tuple(i for i in range(design.loop.n) if i not in active))
+    bottom = reduced.jet(equilibrium.box[list(active)][None, :]).value.hi[0]
+    return input_level(reduced, proof.region, float(bottom))
+
+
+def _limits_claim(design: Design, proof: Proof, level_u: float | None) -> Claim:
+    limits = ", ".join(f"[{lo:g}, {hi:g}]" for lo, hi in design.loop.plant.u_limits or ())
+    if proof.region is None or level_u is None:
+        text = f"no neighbourhood of z̄ is proved to keep u within {limits}"
+        return Claim("input_limits", False, text)
+    where = "all of Ω" if level_u == proof.region.level else f"{{V ≤ {level_u:.6g}}} in Ω"
+    text = f"u stays within {limits} on {where}, which is invariant: saturation never acts there"
+    return Claim("input_limits", True, text)
 
 
 def _equilibrium_claim(found: Equilibrium) -> Claim:
