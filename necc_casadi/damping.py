@@ -11,7 +11,7 @@ from necc_casadi.networks import Vector
 __all__ = ["choose_damping"]
 
 #: Multiples of the natural damping that are tried, for loops of few and of many states.
-_STEPS, _FEW_STEPS, _MANY_STATES = 33, 9, 12
+_STEPS, _FEW_STEPS, _MANY_STATES = 33, 13, 12
 #: Of the dampings within this share of the best decay rate, the smallest is taken.
 _NEAR_BEST = 0.9
 #: A mode slower than this share of the fastest rate is one that no damping reaches.
@@ -39,15 +39,13 @@ def choose_damping(
     ports = np.array(loop.ports.subs(dict(zip(loop.z, z_star, strict=True))).evalf(), float)
     natural = _natural_damping(M, hessian, ports)
     m = V.terms.m
-    steps = np.logspace(-2, 2, _STEPS if len(z_star) <= _MANY_STATES else _FEW_STEPS)
     candidates = [
         (
             np.diag(d * natural[:m]) if D is None else D,
             np.diag(dc * natural[m:]) if Dc is None else Dc,
             d**2 * dc,
         )
-        for d in (steps if D is None else [1.0])
-        for dc in (steps if Dc is None else [1.0])
+        for d, dc in _multiples(D is None, Dc is None, many=len(z_star) > _MANY_STATES)
     ]
     rates = _decay_rates([_generator(M, ports, d, dc) @ hessian for d, dc, _ in candidates])
     good = [
@@ -55,6 +53,15 @@ def choose_damping(
     ]
     chosen = min(good, key=lambda candidate: candidate[2])
     return _rounded(chosen[0]), _rounded(chosen[1])
+
+
+def _multiples(vary_D: bool, vary_Dc: bool, many: bool) -> list[tuple[float, float]]:
+    """Multiples of the natural damping to try: a grid, or two lines through 1 for many states."""
+    steps = np.logspace(-2, 2, _FEW_STEPS if many else _STEPS).tolist()
+    for_D, for_Dc = (steps if vary else [1.0] for vary in (vary_D, vary_Dc))
+    if many:
+        return [(d, 1.0) for d in for_D] + [(1.0, dc) for dc in for_Dc]
+    return [(d, dc) for d in for_D for dc in for_Dc]
 
 
 def _generator(M: Vector, ports: Vector, D: Vector, Dc: Vector) -> Vector:
