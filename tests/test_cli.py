@@ -340,11 +340,16 @@ def test_interrupting_leaves_nothing_half_written(tmp_path, delay):
          "--hidden-k", "64,64", "--hidden-h", "32,32", "--json"],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=tmp_path,
         start_new_session=True,
+        # a shell starts its background jobs, and so perhaps these tests, with SIGINT ignored
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )  # fmt: skip
-    assert child.stderr.readline() == "loaded\n"
-    time.sleep(delay)
-    os.killpg(child.pid, signal.SIGINT)
-    out, err = child.communicate(timeout=60)
+    try:
+        assert child.stderr.readline() == "loaded\n"
+        time.sleep(delay)
+        os.killpg(child.pid, signal.SIGINT)
+        out, err = child.communicate(timeout=60)
+    finally:
+        child.kill()
     assert child.returncode == 130, err
     assert "Traceback" not in err
     assert out == ""
