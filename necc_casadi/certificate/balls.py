@@ -18,7 +18,7 @@ from flint import arb, arb_mat, fmpq
 
 from necc_casadi.expressions import parse
 
-__all__ = ["Box", "Energy", "Model", "ball", "ends", "evaluate"]
+__all__ = ["Box", "Energy", "Model", "Net", "ball", "ends", "evaluate"]
 
 #: A box: one (lo, hi) of doubles per coordinate.
 Box = tuple[tuple[float, float], ...]
@@ -26,10 +26,26 @@ Box = tuple[tuple[float, float], ...]
 #: Arguments of neurons may vary by this much over a piece of a box.
 _SPREAD = 0.25
 
+
+def _wave(v: arb, f: Callable[[arb], arb], phase: float) -> arb:
+    """Sine or cosine, with extrema at (k + phase)π, of a ball: sharp also where it is wide."""
+    if not (v.is_finite() and v.rad() > 1e-6 and v.abs_upper() < 1e5):
+        return f(v)
+    lower, upper = v.lower(), v.upper()
+    slack = 1e-6  # in half periods: an extremum this close counts as inside
+    first = math.ceil(float((lower / arb.pi()).mid()) - phase - slack)
+    last = math.floor(float((upper / arb.pi()).mid()) - phase + slack)
+    if last > first:
+        return ball(-1.0, 1.0)
+    image = f(lower).union(f(upper))
+    return image if last < first else image.union(arb(-1 if first % 2 else 1))
+
+
 _FUNCTIONS = {
-    "sin": arb.sin, "cos": arb.cos, "tan": arb.tan, "asin": arb.asin, "acos": arb.acos,
-    "atan": arb.atan, "sinh": arb.sinh, "cosh": arb.cosh, "tanh": arb.tanh, "asinh": arb.asinh,
-    "acosh": arb.acosh, "atanh": arb.atanh, "exp": arb.exp, "log": arb.log,
+    "sin": lambda v: _wave(v, arb.sin, 0.5), "cos": lambda v: _wave(v, arb.cos, 0.0),
+    "tan": arb.tan, "asin": arb.asin, "acos": arb.acos, "atan": arb.atan, "sinh": arb.sinh,
+    "cosh": arb.cosh, "tanh": arb.tanh, "asinh": arb.asinh, "acosh": arb.acosh,
+    "atanh": arb.atanh, "exp": arb.exp, "log": arb.log,
 }  # fmt: skip
 
 
@@ -438,6 +454,24 @@ class Energy:
                 for j in range(self.d):
                     hess[i][j] = hess[i][j] + b1 * ddc[i][j] + curved[0, 0] * dc[i] * dc[j]
         return total, grad, hess
+
+    def casimirs(self, box: Box) -> tuple[list[arb], list[list[arb]]]:
+        """The Casimirs and their gradients over a box."""
+        tables = self._tables[1:]
+        return [f(box) for f, _, _ in tables], [[g(box) for g in grad] for _, grad, _ in tables]
+
+    def casimir_derivatives(self, order: int, box: Box) -> list[list[arb]]:
+        """For each Casimir its derivatives of an order over a box, row-major in the indices."""
+        values = {v: ball(*b) for v, b in zip(self.variables, box, strict=True)}
+        rows = []
+        for f, _, _ in self._tables[1:]:
+            known: dict[tuple[int, ...], sp.Expr] = {(): f.expr}
+            for k in range(1, order + 1):
+                keys = combinations_with_replacement(range(self.d), k)
+                known = {key: sp.diff(known[key[1:]], self.variables[key[0]]) for key in keys}
+            found = {key: evaluate(entry, values) for key, entry in known.items()}
+            rows.append([found[tuple(sorted(i))] for i in product(range(self.d), repeat=order)])
+        return rows
 
     def hessian(self, box: Box, sign: int = 1) -> arb_mat:
         """A matrix L with ∇²V ⪰ L (sign 1) or ∇²V ⪯ L (sign −1) over a box.

@@ -22,7 +22,7 @@ from necc_casadi.certificate.jets import (
 from necc_casadi.certificate.perceptrons import network_jet, phi_jet
 from necc_casadi.networks import Network, Vector
 
-__all__ = ["Potential", "matrix_enclosure", "target_enclosure"]
+__all__ = ["Potential", "matrix_enclosure", "over_pieces", "target_enclosure"]
 
 
 #: Boxes per network evaluation: arrays stay within a processor's cache.
@@ -44,7 +44,8 @@ class Potential:
         object.__setattr__(self, "active", tuple(i for i in states if i not in self.resting))
 
     @cached_property
-    def _energy(self) -> sp.Expr:
+    def energy(self) -> sp.Expr:
+        """H with the resting states at 0."""
         loop = self.design.loop
         return loop.plant.H.subs({loop.z[i]: 0 for i in self.resting})
 
@@ -99,7 +100,7 @@ class Potential:
 
     def _expressions(self, Z: Interval) -> list[Jet | Interval]:
         """H and the closed-form Casimirs over boxes, by mean-value forms about their middles."""
-        functions = [self._energy, *self.design.casimirs.functions]
+        functions = [self.energy, *self.design.casimirs.functions]
         symbols = [self.design.loop.z[i] for i in self.active]
         boxes, middle = Z.shape[0], Z.mid
         variables = coordinates(concatenate(Z, point(middle)))
@@ -126,13 +127,13 @@ def _compose(network: Network, weights: Vector, inputs: list[Jet], below: bool =
     X = stack([j.value for j in inputs])
     d = X.shape[1]
     unique, inverse = np.unique(np.concatenate([X.lo, X.hi], axis=1), axis=0, return_inverse=True)
-    outer = _over_pieces(network, weights, Interval(unique[:, :d], unique[:, d:]))
+    outer = over_pieces(network, weights, Interval(unique[:, :d], unique[:, d:]))
     if below:
         outer = Jet(outer.value, outer.grad, _below(outer.hess))
     return chain(outer[inverse.ravel()], inputs)
 
 
-def _over_pieces(network: Network, weights: Vector, X: Interval) -> Jet:
+def over_pieces(network: Network, weights: Vector, X: Interval) -> Jet:
     """A network over boxes (B, d), each cut into pieces as far as the budget allows."""
     boxes, d = X.shape
     wide = max(1, int((X.hi > X.lo).any(-1).sum()))

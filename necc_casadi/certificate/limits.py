@@ -12,11 +12,12 @@ from collections.abc import Sequence
 import numpy as np
 import sympy as sp
 
+from necc_casadi.certificate.chart import ChartRegion
 from necc_casadi.certificate.core import ellipsoid_cells
 from necc_casadi.certificate.enclosures import Potential, matrix_enclosure
 from necc_casadi.certificate.intervals import Interval, concatenate, matmul, point
 from necc_casadi.certificate.perceptrons import network_jet
-from necc_casadi.certificate.region import CoreRegion, Region
+from necc_casadi.certificate.region import CoreRegion, GridRegion, Region
 from necc_casadi.networks import Vector
 
 __all__ = ["input_level"]
@@ -30,9 +31,10 @@ _EASED = 0.99
 def input_level(potential: Potential, region: Region, bottom: float) -> float | None:
     """The largest proved c_u ≤ c above `bottom`, an upper bound of V(z̄); None where there is none.
 
-    Where momenta enter u otherwise than through wᵀAs, nothing is claimed.
+    Where momenta enter u otherwise than through wᵀAs, and for regions in the coordinates (c, ξ),
+    nothing is claimed.
     """
-    if not _covered(potential):
+    if isinstance(region, ChartRegion) or not _covered(potential):
         return None
     cells = _cells(region)
     levels = _levels(potential, cells)
@@ -65,7 +67,7 @@ def _covered(potential: Potential) -> bool:
     return not (loop.plant.G.has(*s) or moved or through_phi)
 
 
-def _cells(region: Region) -> Interval:
+def _cells(region: GridRegion | CoreRegion) -> Interval:
     """Boxes of y that cover the component, (B, active)."""
     if isinstance(region, CoreRegion):
         parts = (region.center, region.L, region.step)

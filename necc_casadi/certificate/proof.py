@@ -9,6 +9,7 @@ from dataclasses import asdict, dataclass, fields, replace
 from typing import Any
 
 from necc_casadi.artifact import Design
+from necc_casadi.certificate.chart import ChartRegion
 from necc_casadi.certificate.claim import Claim
 from necc_casadi.certificate.decrease import prove_attraction, prove_decrease, prove_only_stable
 from necc_casadi.certificate.enclosures import Potential
@@ -92,9 +93,10 @@ def _region(data: dict[str, Any]) -> Region:
     def tuples(value: Any) -> Any:
         return tuple(tuples(v) for v in value) if isinstance(value, list) else value
 
-    kinds: dict[str, type[GridRegion] | type[CoreRegion]] = {
+    kinds: dict[str, type[Region]] = {
         "grid": GridRegion,
         "core": CoreRegion,
+        "chart": ChartRegion,
     }
     kind = kinds[data["method"]]
     return kind(**{key: tuples(value) for key, value in data.items()})

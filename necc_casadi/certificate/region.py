@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from necc_casadi.artifact import Design
+from necc_casadi.certificate.chart import ChartRegion, widest_chart
 from necc_casadi.certificate.core import half_axes, widest_core
 from necc_casadi.certificate.definite import Truth
 from necc_casadi.certificate.enclosures import Potential
@@ -112,7 +113,7 @@ class CoreRegion:
         return bool(inside and design.V(z) <= self.level)
 
 
-Region = GridRegion | CoreRegion
+Region = GridRegion | CoreRegion | ChartRegion
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,6 +142,8 @@ def prove_region(potential: Potential, equilibrium: Equilibrium) -> Proof:
     if len(reduced.active) in _CELLS:
         proof = _on_grid(reduced, inner, z_bar, limit)
     if proof is None:
+        proof = _in_chart(reduced, inner, z_bar, limit)
+    if proof is None:
         proof = _in_ellipsoid(reduced, inner, z_bar, limit)
     reason = "no neighbourhood of z̄ is proved free of other critical points"
     return proof or Proof(None, reason, {})
@@ -160,6 +163,23 @@ def _on_grid(
         level, potential.active, grid.first, grid.shape, grid.step, found.core, _packed(mask)
     )
     return Proof(region, limited_by, _shares(potential.design, region, found, mask, domain))
+
+
+def _in_chart(
+    potential: Potential, domain: Domain, z_bar: Interval, limit: tuple[float, str]
+) -> Proof | None:
+    """The region in the coordinates (c, ξ), with a lower bound of its volume and half-widths."""
+    region = widest_chart(potential, z_bar.mid, domain.lo, domain.hi, limit[0])
+    if region is None or not region.level > potential.jet(z_bar[None, :]).value.hi[0]:
+        return None
+    limited_by = limit[1] if region.level >= limit[0] else "the bounds of the Casimirs' curvature"
+    B, d, states = np.array(region.basis), len(region.active), potential.design.loop.states
+    ball = math.pi ** (d / 2) / math.gamma(d / 2 + 1) * region.inner**d
+    half = 0.999 * region.inner * np.sqrt((B**2).sum(1))
+    shares = {"domain_share": 0.999 * ball * abs(float(np.linalg.det(B))) / domain.volume}
+    reach = zip(region.active, half, strict=True)
+    shares |= {f"reach_{states[i]}": float(v) for i, v in reach}
+    return Proof(region, limited_by, shares)
 
 
 def _in_ellipsoid(
