@@ -55,7 +55,8 @@ _IPOPT = {
     "print_time": False,
     "ipopt.print_level": 0,
     "ipopt.sb": "yes",
-    "ipopt.tol": 1e-10,
+    # of the shape only: Newton steps make the constraints, so ε, exact to rounding
+    "ipopt.tol": 1e-8,
     "ipopt.constr_viol_tol": 1e-12,
     "ipopt.acceptable_tol": 1e-7,
     "ipopt.max_iter": 500,
@@ -66,6 +67,7 @@ _IPOPT = {
 #: A constant initial matrix: the scaled one tends to zero with a linear objective, and pivots of
 #: that size fill the factorisation.
 _LIMITED_MEMORY = {
+    "ipopt.tol": 1e-10,  # here the objective is ε itself
     "ipopt.hessian_approximation": "limited-memory",
     "ipopt.limited_memory_initialization": "constant",
 }
