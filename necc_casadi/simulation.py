@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import casadi as ca
 import numpy as np
@@ -87,6 +88,7 @@ class Trajectory:
         return "\n".join(lines) + "\n"
 
 
+@lru_cache(maxsize=4)
 def default_horizon(design: Design) -> float:
     """A time in which the slowest decaying mode falls well below 2 %, s.
 
@@ -147,7 +149,31 @@ def simulate(
     xi = design.xi_star if xi0 is None else np.asarray(xi0, float)
     z0 = np.concatenate([np.asarray(x0, float), xi])
     grid = np.linspace(0.0, default_horizon(design) if time is None else float(time), points)
-    z = ca.MX.sym("z", z0.size)
+    integrator = _integrator(design, float(grid[-1]), points)
+    try:
+        with interruptible():
+            states = np.column_stack([z0, np.asarray(integrator(x0=z0)["xf"], float)]).T
+        complete = bool(np.all(np.isfinite(states)))
+    except RuntimeError:  # the integrator's way to say that it cannot go on
+        states, complete = z0[None, :], False
+    n, count = V.terms.n, len(states)
+    inputs, _ = V.control_law.map(count)(states[:, :n].T, states[:, n:].T)
+    values = V.V.map(count)(states.T)
+    return Trajectory(
+        t=grid[: len(states)],
+        z=states,
+        u=np.asarray(inputs, float).reshape(V.terms.m, count).T,
+        V=np.asarray(values, float).ravel(),
+        z_bar=design.z_bar,
+        V_bar=design.V(design.z_bar),
+        complete=complete,
+    )
+
+
+@lru_cache(maxsize=4)
+def _integrator(design: Design, horizon: float, points: int) -> ca.Function:
+    """CVODES from z0 over `points` equidistant times; kept, because building it takes longer."""
+    z = ca.MX.sym("z", len(design.loop.z))
     options = {
         "abstol": _ABSOLUTE,
         "reltol": _RELATIVE,
@@ -155,28 +181,9 @@ def simulate(
         "show_eval_warnings": False,
         "disable_internal_warnings": True,
     }
-    integrator = ca.integrator(
-        "response", "cvodes", {"x": z, "ode": V.vector_field(z)}, 0.0, list(grid[1:]), options
-    )
-    try:
-        with interruptible():
-            states = np.column_stack([z0, np.asarray(integrator(x0=z0)["xf"], float)]).T
-        complete = bool(np.all(np.isfinite(states)))
-    except RuntimeError:  # the integrator's way to say that it cannot go on
-        states, complete = z0[None, :], False
-    inputs = [
-        np.asarray(V.control_law(s[: V.terms.n], s[V.terms.n :])[0], float).ravel() for s in states
-    ]
-    values = [float(V.V(s)) for s in states]
-    return Trajectory(
-        t=grid[: len(states)],
-        z=states,
-        u=np.array(inputs),
-        V=np.array(values),
-        z_bar=design.z_bar,
-        V_bar=design.V(design.z_bar),
-        complete=complete,
-    )
+    field = {"x": z, "ode": design.lyapunov.vector_field(z)}
+    grid = np.linspace(0.0, horizon, points)[1:].tolist()
+    return ca.integrator("response", "cvodes", field, 0.0, grid, options)
 
 
 @dataclass(frozen=True, eq=False)
