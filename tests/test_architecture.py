@@ -83,6 +83,27 @@ def test_what_uses_a_design_knows_no_solver(name):
     assert not everything_below(name) & MAKERS
 
 
+CERTIFICATE = {name for name in FILES if name.startswith("certificate")}
+CHECKERS = {
+    name for name in CERTIFICATE if name.startswith(("certificate/ball", "certificate/check"))
+}
+#: Without arithmetic: both sides may know these.
+NEUTRAL = {"certificate", "certificate/claim"}
+
+
+def test_the_checker_shares_no_arithmetic_with_the_maker():
+    """Every other file of the certificate belongs to one side, and neither reaches the other."""
+    provers = CERTIFICATE - CHECKERS - NEUTRAL
+    assert {"certificate/proof", "certificate/intervals"} <= provers
+    assert {"certificate/checker", "certificate/balls"} <= CHECKERS
+    for name in NEUTRAL - {"certificate"}:
+        assert not inside(name) & (CHECKERS | provers), name
+    for name in CHECKERS:
+        assert not everything_below(name) & provers, name
+    for name in provers:
+        assert not everything_below(name) & CHECKERS, name
+
+
 @pytest.mark.parametrize(
     "name", ["expressions", "exact", "plant", "loop", "target", "model_file", "casimirs",
              "assignability", "curvature", "detectability", "involution", "ansatz", "one_forms",

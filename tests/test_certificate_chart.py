@@ -14,8 +14,10 @@ from hypothesis import strategies as st
 
 from necc_casadi.casimirs import find_casimirs
 from necc_casadi.certificate import certify
-from necc_casadi.certificate.balls import Energy, Model, ball, evaluate
+from necc_casadi.certificate.ball_energy import Energy
+from necc_casadi.certificate.balls import ball, evaluate
 from necc_casadi.certificate.chart import ChartRegion, _Chart, _spectral, _tensor
+from necc_casadi.certificate.check_model import Model
 from necc_casadi.certificate.checker import check
 from necc_casadi.certificate.enclosures import Potential
 from necc_casadi.certificate.intervals import Interval, point

@@ -8,7 +8,8 @@ import pytest
 from certificate_designs import make_design, mechanical, quadratic_pendulum, trained_like_pendulum
 
 from necc_casadi.certificate import certify
-from necc_casadi.certificate.balls import Energy, Model
+from necc_casadi.certificate.ball_energy import Energy
+from necc_casadi.certificate.check_model import Model
 from necc_casadi.certificate.checker import check
 from necc_casadi.cli import _certify
 from necc_casadi.errors import OutputError

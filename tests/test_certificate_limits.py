@@ -11,8 +11,10 @@ from scipy.optimize import minimize
 
 from necc_casadi.artifact import Design
 from necc_casadi.certificate import certify
-from necc_casadi.certificate.balls import Model
-from necc_casadi.certificate.checker import _Checker, check
+from necc_casadi.certificate.check_evidence import Evidence
+from necc_casadi.certificate.check_model import Model
+from necc_casadi.certificate.check_region import check_input_limits
+from necc_casadi.certificate.checker import check
 from necc_casadi.errors import OutputError
 from necc_casadi.loop import interconnect
 from necc_casadi.lyapunov import Form
@@ -177,7 +179,7 @@ def rechecked(folder, change) -> bool:
     change(data)
     model = Model(json.loads((folder / "design.json").read_text(encoding="utf-8")))
     claimed = {claim["name"]: claim for claim in data["claims"]}
-    return _Checker(model, data, claimed).input_limits(True).holds
+    return check_input_limits(Evidence(model, data, claimed), True).holds
 
 
 def test_the_level_is_proved_again_and_a_raised_one_rejected(folder):

@@ -1,0 +1,44 @@
+"""V never increases: the Casimir condition, the structure, Φ₁ > 0 and the damping, exactly."""
+
+from __future__ import annotations
+
+import math
+
+import sympy as sp
+
+from necc_casadi import exact as ex
+from necc_casadi.certificate.ball_matrices import exactly_positive
+from necc_casadi.certificate.check_evidence import Checked, Evidence
+from necc_casadi.certificate.check_model import Model
+
+__all__ = ["check_casimir", "check_damping", "check_slope", "check_structure"]
+
+
+def check_casimir(model: Model) -> Checked:
+    """∇CᵀM = 0 for every closed form."""
+    M = model.Jcl - model.Rcl
+    rows = [sp.Matrix([[sp.diff(c, v) for v in model.z]]) * M for c in model.casimirs]
+    holds = all(ex.is_zero(entry) is True for row in rows for entry in row)
+    return Checked("casimir", holds, "∇Cᵀ(Jcl − Rcl) = 0 exactly")
+
+
+def check_structure(m: Model) -> Checked:
+    """Skewness and semidefiniteness, exactly."""
+    skew = all(ex.is_zero(e) is True for A in (m.J, m.Jc) for e in A + A.T)
+    symmetric = all(ex.is_zero(e) is True for A in (m.R, m.Rc) for e in A - A.T)
+    dissipative = all(ex.is_positive_semidefinite(A) is True for A in (m.R, m.Rc))
+    return Checked("structure", skew and symmetric and dissipative, "J, Jc skew; R, Rc ⪰ 0")
+
+
+def check_slope(evidence: Evidence) -> Checked:
+    """Φ₁ > 0: the sum has 1, the neural form δ."""
+    least = evidence.model.delta
+    claimed = float(evidence.claimed["slope"]["data"]["slope"])
+    finite = all(math.isfinite(w) for w in evidence.model.weights)
+    return Checked("slope", finite and 0 < claimed <= least, f"Φ₁ ≥ {least:g}")
+
+
+def check_damping(model: Model) -> Checked:
+    """D, Dc ≻ 0 by elimination over the rationals."""
+    holds = all(exactly_positive(A) for A in (model.D, model.Dc))
+    return Checked("damping", holds, "D ≻ 0, Dc ≻ 0")

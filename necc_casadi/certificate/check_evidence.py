@@ -1,0 +1,47 @@
+"""What every part of the checker works with: the model, the certificate's data, and V in balls."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from flint import arb
+
+from necc_casadi.certificate.ball_energy import Energy
+from necc_casadi.certificate.balls import Box, ball, ends
+from necc_casadi.certificate.check_model import Model
+
+__all__ = ["Checked", "Evidence"]
+
+
+@dataclass(frozen=True)
+class Checked:
+    """A claim after checking."""
+
+    name: str
+    holds: bool
+    statement: str
+
+
+class Evidence:
+    """A design and the numbers of its certificate, which are hints until they are proved again."""
+
+    def __init__(
+        self, model: Model, certificate: Mapping[str, Any], claimed: Mapping[str, Any]
+    ) -> None:
+        self.model, self.certificate, self.claimed = model, certificate, claimed
+        self.full = Energy(model, range(len(model.z)))
+        self._reduced: dict[tuple[int, ...], Energy] = {}
+
+    def reduced(self, active: Sequence[int]) -> Energy:
+        """V in some of the states, the others at rest; one object, which keeps its results."""
+        key = tuple(active)
+        if key not in self._reduced:
+            self._reduced[key] = Energy(self.model, active)
+        return self._reduced[key]
+
+    def z_bar(self, active: Sequence[int]) -> Box:
+        """A box that holds z̄, in some of the states."""
+        radius, z = float(self.certificate["enclosure"]), self.certificate["z_bar"]
+        return tuple(ends(arb(float(z[i])) + ball(-radius, radius)) for i in active)

@@ -1,0 +1,77 @@
+"""The global claim: ∇²V ⪰ μI and ∂²H/∂s² ⪰ μI for all states, by bounds of the networks."""
+
+from __future__ import annotations
+
+import sympy as sp
+from flint import arb_mat
+
+from necc_casadi import exact as ex
+from necc_casadi.certificate.ball_matrices import positive
+from necc_casadi.certificate.balls import Box, ball, evaluate, everywhere
+from necc_casadi.certificate.check_evidence import Checked, Evidence
+from necc_casadi.certificate.check_motion import at_rest, invariant_points
+
+__all__ = ["check_global"]
+
+#: How often a box may be halved before a test on it counts as failed.
+_DEPTH = 14
+
+
+def check_global(evidence: Evidence, sound: bool) -> Checked:
+    """∇²V ⪰ μI and ∂²H/∂s² ⪰ μI for all states, by periodicity and bounds of the networks."""
+    text = "z̄ is globally asymptotically stable"
+    model, form = evidence.model, evidence.model.form
+    constant = not (model.Jcl - model.Rcl).free_symbols and not model.ports.free_symbols
+    if not (sound and constant and form["phi"] is None and not form["betas"]):
+        return Checked("global", False, text)
+    named = evidence.claimed.get("global", {}).get("data", {}).get("resting", ())
+    resting = [i for i in range(len(model.z)) if i in named]
+    active = [i for i in range(len(model.z)) if i not in resting]
+    y, s = ([model.z[i] for i in chosen] for chosen in (active, resting))
+    slopes = [[sp.diff(c, v) for v in y] for c in model.casimirs]
+    floors = _floors(evidence)
+    holds = (
+        floors is not None
+        and not sp.Matrix(slopes).free_symbols
+        and at_rest(model, resting)
+        and invariant_points(model, resting)
+        and _bowl(sp.hessian(model.H, s) if s else sp.eye(1), None)
+        and _bowl(
+            sp.hessian(model.H.subs(dict.fromkeys(s, 0)), y), _from_nets(slopes, floors, model.nc)
+        )
+    )
+    return Checked("global", holds, text)
+
+
+def _floors(evidence: Evidence) -> list[arb_mat] | None:
+    """Matrices below ∇²Hc and ∇²K for all arguments."""
+    nets = (evidence.full.hc, evidence.full.k)
+    shapes = (evidence.model.form["hc"], evidence.model.form["k"])
+    if any(len(shape["hidden"]) > 1 for shape in shapes):
+        return None
+    return [net.floor(shape["activation"]) for net, shape in zip(nets, shapes, strict=True)]
+
+
+def _from_nets(slopes: list[list[sp.Expr]], floors: list[arb_mat], nc: int) -> arb_mat:
+    N = arb_mat([[evaluate(v, {}) for v in row] for row in slopes])
+    total = N.transpose() * floors[1] * N
+    first = total.nrows() - nc
+    for i in range(nc):
+        for j in range(nc):
+            total[first + i, first + j] = total[first + i, first + j] + floors[0][i, j]
+    return total
+
+
+def _bowl(matrix: sp.Matrix, added: arb_mat | None) -> bool:
+    """Whether matrix + added ≻ 0 for all values of its symbols, in each of which it repeats."""
+    symbols = sorted(matrix.free_symbols, key=str)
+    shifted = [matrix.subs(v, v + 2 * sp.pi) - matrix for v in symbols]
+    if not all(ex.is_zero(entry) is True for change in shifted for entry in change):
+        return False
+
+    def test(box: Box) -> bool:
+        values = {v: ball(*b) for v, b in zip(symbols, box, strict=True)}
+        A = arb_mat([[evaluate(e, values) for e in row] for row in matrix.tolist()])
+        return positive(A if added is None else A + added, 1e-9)
+
+    return everywhere(tuple((-3.15, 3.15) for _ in symbols), test, _DEPTH)

@@ -1,0 +1,75 @@
+"""Plant states that are at rest in a region: their share of H, their reach, and what they hide."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import sympy as sp
+from flint import arb, arb_mat
+
+from necc_casadi import exact as ex
+from necc_casadi.certificate.ball_matrices import positive
+from necc_casadi.certificate.balls import Box, ball, ends, evaluate, everywhere
+from necc_casadi.certificate.check_model import Model
+
+__all__ = ["at_rest", "invariant_points", "momenta_inside"]
+
+#: How often a box may be halved before a test on it counts as failed.
+_DEPTH = 14
+
+
+def at_rest(model: Model, resting: Sequence[int]) -> bool:
+    """H = ½ sᵀA(y)s + U(y) in the resting plant states s, which no Casimir contains."""
+    s = [model.z[i] for i in resting]
+    zero = dict.fromkeys(s, 0)
+    if any(i >= model.n for i in resting) or any(c.has(*s) for c in model.casimirs if s):
+        return False
+    A = sp.hessian(model.H, s) if s else sp.zeros(0)
+    kinetic = (sp.Matrix([s]) * A * sp.Matrix(s))[0] / 2 if s else sp.Integer(0)
+    flat = all(ex.is_zero(sp.diff(a, v)) is True for a in A for v in s)
+    return flat and ex.is_zero(model.H - model.H.subs(zero) - kinetic) is True
+
+
+def momenta_inside(
+    model: Model, resting: Sequence[int], active: Sequence[int], level: float, bottom: arb
+) -> bool:
+    """½ δ sᵀA(y)s > c − V(z̄) wherever a resting state leaves the domain, and A ≻ 0."""
+    bounds = model.bounds()
+    symbols = [model.z[i] for i in resting]
+    A = sp.hessian(model.H, symbols) if symbols else sp.zeros(0)
+    cube = tuple((ends(bounds[i][0])[0], ends(bounds[i][1])[1]) for i in active)
+    variables = [model.z[i] for i in active]
+    for k, i in enumerate(resting):
+        lo, hi = bounds[i]
+        reach = (-lo).min(hi)
+        if not reach > 0:
+            return False
+        needed = 2 * (level - bottom) / (model.delta * reach * reach)
+
+        def stiff(box: Box, k: int = k, needed: arb = needed) -> bool:
+            values = {v: ball(*b) for v, b in zip(variables, box, strict=True)}
+            matrix = arb_mat([[evaluate(e, values) for e in row] for row in A.tolist()])
+            matrix[k, k] = matrix[k, k] - needed
+            return positive(matrix, 0)
+
+        if not everywhere(cube, stiff, _DEPTH, [A.has(v) for v in variables]):
+            return False
+    return True
+
+
+def invariant_points(model: Model, resting: Sequence[int]) -> bool:
+    """On E only momenta could move, and they stay where ∂H/∂s = 0: see theory of the class."""
+    damped = model.ports.T
+    if not model.Rcl.free_symbols:
+        damped = damped.col_join(model.Rcl)
+    if damped.free_symbols:
+        return False
+    silent = damped.nullspace()
+    if not silent:
+        return True
+    N = sp.Matrix.hstack(*silent)
+    motion = model.Jcl * N
+    if motion.free_symbols or motion.rank() < N.cols:
+        return False
+    rows = [i for i in range(motion.rows) if any(e != 0 for e in motion.row(i))]
+    return all(i in resting and all(e == 0 for e in N.row(i)) for i in rows)
