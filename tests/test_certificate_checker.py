@@ -3,10 +3,19 @@
 import copy
 import json
 
+import flint
 import numpy as np
 import pytest
-from certificate_designs import make_design, mechanical, quadratic_pendulum, trained_like_pendulum
+from certificate_designs import (
+    EXAMPLES,
+    make_design,
+    mechanical,
+    quadratic_pendulum,
+    trained_like_pendulum,
+)
 
+from necc_casadi import Options, find_casimirs, judge, load_model
+from necc_casadi import design as synthesised
 from necc_casadi.certificate import certify
 from necc_casadi.certificate.ball_energy import Energy
 from necc_casadi.certificate.check_model import Model
@@ -15,6 +24,7 @@ from necc_casadi.cli import _certify
 from necc_casadi.errors import OutputError
 from necc_casadi.lyapunov import Form
 from necc_casadi.networks import MonotonePhi, Network
+from necc_casadi.target import target_from_model
 from necc_casadi.terminal import run
 
 
@@ -311,3 +321,35 @@ def test_second_evaluator_encloses_the_exported_V(form, radius):
                 mid = np.array([[float(v.mid()) for v in row] for row in L.tolist()])
                 slack = sum(float(v.rad()) for v in L.entries())
                 assert np.linalg.eigvalsh(sign * (H - mid))[0] >= -slack - 1e-10
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_the_gradient_at_a_point_has_as_many_digits_as_are_asked_for(form):
+    """Digits beyond doubles, and those of doubles as the exported V has them."""
+    rng = np.random.default_rng(5)
+    design = make_design(
+        trained_like_pendulum().loop.plant, ("pi/4", 0), form, form.initial(rng), [0.5]
+    )
+    model = Model(json.loads(design.text))
+    exact = np.asarray(design.lyapunov.gradient(design.z_star), float).ravel()
+    with flint.ctx.workprec(128):
+        gradient = Energy(model, range(3)).gradient_at(model.target_balls())
+    for g, e in zip(gradient, exact, strict=True):
+        assert float(g.rad()) < 1e-32
+        assert float(abs(g - e)) < 1e-13
+
+
+def test_a_stiff_design_in_six_states_is_proved_again(tmp_path):
+    """Where V is stiff, ∇V(z*) over a box of doubles exceeds the bound that the maker claims."""
+    model = load_model(EXAMPLES / "two_link_arm.py")
+    target = target_from_model(model.loop.plant, model.target)
+    casimirs = find_casimirs(model.loop, model.casimirs, target)
+    verdict = judge(model.loop, casimirs, target)
+    made = synthesised(model.loop, casimirs, verdict, target, Options(convex=True))
+    made.save(tmp_path / "design.json")
+    certificate = certify(made, region=False)
+    assert certificate.certified
+    (tmp_path / "certificate.json").write_text(certificate.to_json(), encoding="utf-8")
+    result = verdicts(tmp_path)
+    assert all(result.values())
+    assert result["attraction"]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sympy as sp
-from flint import arb, arb_mat
+from flint import arb, arb_mat, ctx
 
 from necc_casadi.certificate.ball_energy import hessian_hull
 from necc_casadi.certificate.ball_matrices import lyapunov_matrix, middle_of, norm, positive
@@ -15,6 +15,8 @@ __all__ = ["check_attraction", "check_equilibrium"]
 
 #: How often a box may be halved before a test on it counts as failed.
 _DEPTH = 14
+#: Precision of ∇V at z* and z̄, where its parts cancel and rounding to doubles would remain.
+_BITS = 128
 
 
 def check_equilibrium(evidence: Evidence) -> Checked:
@@ -23,8 +25,9 @@ def check_equilibrium(evidence: Evidence) -> Checked:
     if c["mu"] is None or c["radius"] is None:
         return Checked("equilibrium", False, "no equilibrium is claimed")
     mu, radius = float(c["mu"]), float(c["radius"])
-    target = evidence.model.target_balls()
-    g = norm(evidence.full.gradient(tuple(ends(t) for t in target)))
+    with ctx.workprec(_BITS):
+        target = evidence.model.target_balls()
+        g = norm(evidence.full.gradient_at(target))
     data = evidence.claimed["equilibrium"]["data"]
     holds = mu > 0 and radius > 0 and bool(g < arb(mu) * arb(radius))
     holds = holds and bool(g <= float(data["gradient_norm"]))
@@ -53,7 +56,8 @@ def _enclosed(evidence: Evidence, target: list[arb]) -> bool:
     """The minimum is within the claimed distance of the claimed z̄, inside the ball."""
     c = evidence.certificate
     z_bar = [float(v) for v in c["z_bar"]]
-    residual = norm(evidence.full.gradient(tuple((v, v) for v in z_bar)))
+    with ctx.workprec(_BITS):
+        residual = norm(evidence.full.gradient_at([arb(v) for v in z_bar]))
     near = norm([t - v for t, v in zip(target, z_bar, strict=True)])
     return bool(residual / float(c["mu"]) <= float(c["enclosure"])) and bool(
         near < float(c["radius"])
