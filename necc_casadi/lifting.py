@@ -7,6 +7,7 @@ that do not grow with the networks: V with each network replaced by its Taylor p
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import casadi as ca
@@ -176,19 +177,20 @@ class Lifting:
         """Lifted variables of dimensionless weights ŵ at ξ* = xi."""
         return self.jets_at(self.sigma * w_hat + self.tau, xi)
 
-    def quadratic_only(self, kappa: float) -> Vector:
-        """Lifted variables of V without its networks, quadratic parts with this κ."""
+    def quadratic_only(self, kappa: Sequence[float]) -> Vector:
+        """Lifted variables of V without its networks, quadratic parts with these κ."""
         w_hat = np.zeros(self.form.size)
         return self.small_at(self.centred(w_hat, self.guess, kappa), self.guess)
 
-    def centred(self, w_hat: Vector, xi: Vector, kappa_min: float) -> Vector:
-        """ŵ with the quadratic parts centred at the networks' inputs at z*, κ at least this."""
+    def centred(self, w_hat: Vector, xi: Vector, kappa: Sequence[float]) -> Vector:
+        """ŵ with the quadratic parts centred at the networks' inputs at z*, κ at least these."""
         w_hat = w_hat.copy()
         bases = self.bases.call([self.small_at(w_hat, xi)])
         parts, units = self.form.split(w_hat), self.form.split(self.sigma)
-        for network, part, unit, base in zip(self.form.networks, parts, units, bases, strict=True):
+        networks = zip(self.form.networks, parts, units, bases, kappa, strict=True)
+        for network, part, unit, base, least in networks:
             if isinstance(network, Network) and network.quadratic:
                 d = network.inputs
                 part[-d:] = np.asarray(base, float).ravel() / unit[-d:]
-                part[-2 * d : -d] = np.maximum(part[-2 * d : -d], kappa_min)
+                part[-2 * d : -d] = np.maximum(part[-2 * d : -d], least)
         return w_hat

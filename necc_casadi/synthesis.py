@@ -19,9 +19,10 @@ from necc_casadi.lifting import Scales
 from necc_casadi.loop import ClosedLoop
 from necc_casadi.lyapunov import Form, LyapunovFunction, make_terms
 from necc_casadi.networks import KAPPA_MIN, MonotonePhi, Network, Vector
+from necc_casadi.neutral import HELD_XI, NEUTRAL_HC, NEUTRAL_K, is_neutral, widest_chart_at
 from necc_casadi.outcome import Start
 from necc_casadi.plant import gradient
-from necc_casadi.training import train
+from necc_casadi.training import STIFFER, XI_COST, train
 
 __all__ = ["Options", "design", "natural_scales", "paper_options"]
 
@@ -105,6 +106,9 @@ def design(
     guess = np.zeros(terms.nc)
     if verdict.xi_star is not None:
         guess = np.array([float(sp.N(v, 20)) for v in verdict.xi_star])
+    neutral = options.quadratic and form.phi is None and not form.betas and is_neutral(loop, casimirs)
+    if neutral:
+        guess = widest_chart_at(terms, x, guess, natural_scales(loop, casimirs, x, guess))
     natural = natural_scales(loop, casimirs, x, guess)
     scales = natural if options.natural_units else Scales(np.ones(len(loop.z)), 1.0)
     z_guess = np.concatenate([x, guess])
@@ -115,6 +119,13 @@ def design(
     a = requested
     if verdict.a_max is not None and requested >= verdict.a_max and not options.keep_a:
         a = _BELOW_CEILING * verdict.a_max
+    kappa_min, stiffness = KAPPA_MIN, None
+    if options.convex:
+        kappa_min = least_kappa(terms, scales, verdict, x, guess, a)
+        if kappa_min > KAPPA_MIN:
+            stiffness = (STIFFER * kappa_min,) * len(form.networks)
+    elif neutral:
+        stiffness = (NEUTRAL_HC, NEUTRAL_K)
     solution = train(
         terms,
         form,
@@ -124,7 +135,9 @@ def design(
         seed=options.seed,
         starts=options.starts,
         xi_guess=guess,
-        kappa_min=least_kappa(terms, scales, verdict, x, guess, a) if options.convex else KAPPA_MIN,
+        kappa_min=kappa_min,
+        stiffness=stiffness,
+        xi_cost=HELD_XI if neutral else XI_COST,
         penalty=penalty,
         report=report,
         verbose=options.verbose,
@@ -196,15 +209,17 @@ def natural_scales(loop: ClosedLoop, casimirs: Casimirs, x_star: Vector, xi: Vec
     n = loop.plant.n
     size[:n] = np.where(np.isnan(size[:n]), 1.0, size[:n])
     point = dict(zip(loop.z, np.concatenate([x_star, xi]), strict=True))
-    for function in casimirs.functions:
-        slope = np.array([abs(float(v)) for v in at(gradient(function, loop.z), point)])
-        reach = float(np.max(slope[:n] * size[:n], initial=0.0))
-        for index in range(n, len(size)):
-            if np.isnan(size[index]) and slope[index] > 0 and reach > 0:
-                size[index] = reach / slope[index]
+    slopes = np.array(
+        [[abs(float(v)) for v in at(gradient(c, loop.z), point)] for c in casimirs.functions]
+    )
+    reach = np.max(slopes[:, :n] * size[:n], axis=1, initial=0.0)
+    for index in np.flatnonzero(np.isnan(size)):
+        seen = float(reach @ slopes[:, index])
+        if seen > 0:
+            size[index] = seen / float(slopes[:, index] @ slopes[:, index])
     size[np.isnan(size)] = 1.0
-    slopes = zip(loop.plant.grad_H, loop.plant.x, strict=True)
-    second = at(sp.Matrix([sp.diff(slope, s) for slope, s in slopes]), point)
+    pairs = zip(loop.plant.grad_H, loop.plant.x, strict=True)
+    second = at(sp.Matrix([sp.diff(slope, s) for slope, s in pairs]), point)
     curvature = [abs(float(v)) for v in second]
     energies = size[:n] ** 2 * np.array(curvature)
     energy = float(energies[energies > 0].mean()) if np.any(energies > 0) else 1.0

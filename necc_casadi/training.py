@@ -104,6 +104,8 @@ def train(
     starts: int = 1,
     xi_guess: Vector | None = None,
     kappa_min: float = KAPPA_MIN,
+    stiffness: tuple[float, ...] | None = None,
+    xi_cost: float = XI_COST,
     penalty: Callable[[ca.MX, ca.MX], ca.MX] | None = None,
     report: Callable[[Start], None] | None = None,
     verbose: bool = False,
@@ -130,6 +132,11 @@ def train(
         Where ξ* starts, (nc,); zeros by default. Later starts move away from it.
     kappa_min
         Least curvature of the quadratic parts, in natural units (energy/length²).
+    stiffness
+        Curvature of the quadratic part of each network, in natural units, where training starts
+        and whose Hessian is the reference P; None: P is diagonal, of the plant's own size.
+    xi_cost
+        How strongly ξ* is pulled to where it starts.
     penalty
         (weights, ξ*) ↦ a further term of the objective, over as many sample points as it likes.
     report
@@ -141,10 +148,11 @@ def train(
     lifting = Lifting(terms, form, np.asarray(x_star, float), scales, guess)
     results: list[tuple[Start, Vector, Vector]] = []
     for make in (_hard, _soft):
-        program = make(lifting, a, kappa_min)
+        program = make(lifting, a, stiffness)
         if program is None:
             continue
-        solver = _Solver(lifting, program, a, kappa_min, penalty, verbose)
+        bounds = (kappa_min, stiffness or (STIFFER * kappa_min,) * len(form.networks))
+        solver = _Solver(lifting, program, a, bounds, xi_cost, penalty, verbose)
         for index in range(starts):
             results.append(solver.run(seed + index, away=index > 0))
             if report is not None:
@@ -177,7 +185,7 @@ class _Program:
     initial: Callable[[Vector], Vector]  # lifted variables -> start of `extra`
 
 
-def _hard(lifting: Lifting, a: float, kappa_min: float) -> _Program | None:
+def _hard(lifting: Lifting, a: float, stiffness: tuple[float, ...] | None) -> _Program | None:
     """∇V(z*) = 0, ∇²V(z*) − aI = LLᵀ; None where no weight can satisfy that."""
     movable = _movable_rows(lifting, a)
     if movable is None:
@@ -189,8 +197,8 @@ def _hard(lifting: Lifting, a: float, kappa_min: float) -> _Program | None:
     gap = ca.vertcat(*[(S - L @ L.T)[i, j] for i, j in pattern])
     value = ca.Function("S", [lifting.small], [S])
     reference = np.diag(P)
-    if kappa_min > KAPPA_MIN:  # stiff quadratic parts are the reference: no network undoes them
-        stiff = np.asarray(value(lifting.quadratic_only(STIFFER * kappa_min)), float)
+    if stiffness is not None:  # the quadratic parts are the reference: no network undoes them
+        stiff = np.asarray(value(lifting.quadratic_only(stiffness)), float)
         reference = stiff if np.linalg.eigvalsh(stiff)[0] > 0 else reference
     inverse = ca.sparsify(ca.DM(np.linalg.inv(reference)))
     shape = ca.dot(inverse, L @ L.T) - 2 * ca.sum1(ca.log(ca.diag(L)))
@@ -229,7 +237,7 @@ def _movable_rows(lifting: Lifting, a: float) -> tuple[ca.SX, ca.SX, list[int]] 
     return ca.vertcat(*[g[i] for i in range(n) if moves[i]]), ca.sparsify(S), rows
 
 
-def _soft(lifting: Lifting, a: float, _: float) -> _Program:
+def _soft(lifting: Lifting, a: float, _: tuple[float, ...] | None) -> _Program:
     """Minimise s + t with ∇V(z*) = s w, wᵀw ≤ 1, ∇²V(z*) + (t − a)I = LLᵀ: ε exactly."""
     n = lifting.g.numel()
     s, t, w = ca.SX.sym("s"), ca.SX.sym("t"), ca.SX.sym("w", n)
@@ -299,11 +307,14 @@ class _Solver:
         lifting: Lifting,
         program: _Program,
         a: float,
-        kappa_min: float,
+        kappa: tuple[float, tuple[float, ...]],  # least; where each quadratic part starts
+        xi_cost: float,
         penalty: Callable[[ca.MX, ca.MX], ca.MX] | None,
         verbose: bool,
     ) -> None:
-        self.lifting, self.program, self.a, self.kappa_min = lifting, program, a, kappa_min
+        self.lifting, self.program, self.a = lifting, program, a
+        self.kappa_min, self.stiffness = kappa
+        self.xi_cost = xi_cost
         small = ca.vertcat(lifting.small, program.extra)
         core = ca.Function(
             "core", [small], [program.objective, program.equalities, program.inequalities]
@@ -325,7 +336,7 @@ class _Solver:
             [
                 np.full(n_lifted, -np.inf),
                 program.lower,
-                *[network.lower(kappa_min) for network in lifting.form.networks],
+                *[network.lower(self.kappa_min) for network in lifting.form.networks],
             ]
         )
         many = lifting.form.size > EXACT_HESSIAN_WEIGHTS
@@ -344,7 +355,7 @@ class _Solver:
         """½ ‖θ − θ₀‖²_Q and the weak pull on ξ*."""
         nc = self.lifting.terms.nc
         pull = ca.sumsqr((s[:nc] - start[:nc]) / ca.DM(self.lifting.scales.state[-nc:]))
-        return (ca.dot(self._cost(), (w - start[nc:]) ** 2) + XI_COST * pull) / 2
+        return (ca.dot(self._cost(), (w - start[nc:]) ** 2) + self.xi_cost * pull) / 2
 
     def _hessian(self, s: ca.MX, w: ca.MX, start: ca.MX, f: ca.MX, g: ca.MX) -> dict[str, object]:
         """Exact second derivatives for few weights; for many, Gauss–Newton in θ."""
@@ -364,7 +375,7 @@ class _Solver:
         w0 = lifting.form.initial(rng)
         spread = 0.5 * lifting.scales.state[-nc:] if away else np.zeros(nc)
         xi0 = lifting.guess + rng.normal(0.0, 1.0, nc) * spread
-        w0 = lifting.centred(w0, xi0, STIFFER * self.kappa_min)
+        w0 = lifting.centred(w0, xi0, self.stiffness)
         small = lifting.small_at(w0, xi0)
         began = time.perf_counter()
         with interruptible():

@@ -14,7 +14,7 @@ from flint import arb, fmpq
 from necc_casadi.certificate.intervals import PI, Interval, concatenate, matmul, point
 from necc_casadi.networks import Vector
 
-__all__ = ["Jet", "Slopes", "chain", "constant", "coordinates", "expression_jets"]
+__all__ = ["Jet", "Slopes", "chain", "constant", "coordinates", "expression_jets", "expression_values"]
 
 #: Enclosures of (f, f′, f″) at an interval.
 Slopes = Callable[[Interval], tuple[Interval, Interval, Interval]]
@@ -161,6 +161,14 @@ def expression_jets(
     """Jets of sympy expressions, common subexpressions once; constants stay intervals."""
     cache: dict[sp.Expr, Jet | Interval] = dict(variables)
     return [_evaluate(expr, cache) for expr in expressions]
+
+
+def expression_values(
+    expressions: list[sp.Expr], variables: dict[sp.Symbol, Interval]
+) -> list[Interval]:
+    """Values of sympy expressions, common subexpressions once."""
+    cache: dict[sp.Expr, Jet | Interval] = dict(variables)
+    return [v for v in (_evaluate(e, cache) for e in expressions) if isinstance(v, Interval)]
 
 
 def _evaluate(expr: sp.Expr, cache: dict[sp.Expr, Jet | Interval]) -> Jet | Interval:
