@@ -27,4 +27,4 @@ H = p**2 / (2 * m) - m * g * q
 
 units = {q: "m", p: "kg m/s"}
 target = {q: sp.Rational(1, 10), p: 0}
-domain = {q: (sp.Rational(-3, 10), 1)}
+domain = {q: (sp.Rational(-3, 10), 1), "xi1": (sp.Rational(-1, 20), sp.Rational(1, 10))}

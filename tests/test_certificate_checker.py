@@ -99,7 +99,11 @@ LOOSENED = {
     "claims:equilibrium.data.gradient_norm": 1e-6,
     "claims:slope.data.slope": 1.5,
     "claims:attraction.data.rate": 1.05,
-    "claims:region.data.plant_share": 1.2,
+    "claims:region.data.volume": 1.2,
+    "claims:region.data.slice_share": 1.1,
+    "claims:region.data.plant_share": 1.1,
+    "claims:region.data.reach_q": 1.05,
+    "claims:region.data.reach_xi1": 1.05,
 }
 
 
@@ -135,7 +139,8 @@ def drop_cells(data):
 
     bits = np.frombuffer(zlib.decompress(base64.b64decode(data["region"]["cells"])), dtype=np.uint8)
     bits = bits.copy()
-    bits[len(bits) // 2] = 0
+    full = np.flatnonzero(bits == 255)
+    bits[full[len(full) // 2]] = 0
     data["region"]["cells"] = base64.b64encode(zlib.compress(bits.tobytes())).decode()
 
 
@@ -208,7 +213,7 @@ def test_a_lowered_level_may_still_be_true(pendulum, tmp_path):
     def lower(data):
         data["level"] = data["region"]["level"] = data["region"]["level"] - 1e-3
         data["domain_share"] = claim(data, "region")["data"]["domain_share"] = 0.01
-        claim(data, "region")["data"]["plant_share"] = 0.01
+        claim(data, "region")["data"] = {"domain_share": 0.01}
 
     assert all(altered(pendulum, tmp_path, lower).values())
 

@@ -13,6 +13,7 @@ from necc_casadi.certificate.ball_energy import Energy
 from necc_casadi.certificate.ball_matrices import norm, positive
 from necc_casadi.certificate.balls import Box, ball, everywhere
 from necc_casadi.certificate.check_evidence import Evidence
+from necc_casadi.certificate.check_sizes import ball_volume, sides_of, sizes_hold
 
 __all__ = ["CoreProof"]
 
@@ -109,22 +110,35 @@ class CoreProof:
         return everywhere(box, test, 10)
 
     def _covers(self, data: Mapping[str, Any], share: float) -> bool:
-        """The ellipsoid ½ above |e|² ≤ height is in the region; its size is as claimed."""
-        bottom = self.energy.value(self.z_bar)
-        radius = (2 * (self.level - bottom) / self.above).sqrt().min(arb(self.radii[-1]))
-        bounds = [self.checker.model.bounds()[i] for i in self.energy.active]
-        volume = arb.pi() ** (arb(self.d) / 2) / (arb(self.d) / 2 + 1).gamma() * radius**self.d
-        for k, (lo, hi) in enumerate(bounds):
-            volume = volume / self.Lt[k, k] / (hi - lo)
-        states = [self.checker.model.states[i] for i in self.energy.active]
-        reach = dict(zip(states, self._half(radius), strict=True))
-        sizes = all(
-            bool(reach[key.removeprefix("reach_")] >= float(value))
-            for key, value in data.items()
-            if key.startswith("reach_")
+        """The ellipsoid ½ above |y − z̄|² ≤ height is in the region; its size is as claimed."""
+        bottom, near = self.energy.value(self.z_bar), self._length(self.z_bar)
+        room = arb(self.radii[-1]) - near.upper()
+        radius = (2 * (self.level - bottom) / self.above).sqrt().min(room)
+        return sizes_hold(self._sizes(radius), data, share) and all(
+            self._flat(box, radius + near.upper()) for box in self._cells()
         )
-        claimed = share == data["domain_share"] and bool(volume >= float(share)) and sizes
-        return claimed and all(self._flat(box, radius) for box in self._cells())
+
+    def _sizes(self, radius: arb) -> dict[str, arb]:
+        """Sizes of the ellipsoid ‖Lᵀ(y − z̄)‖ ≤ radius, of its slice and of its shadow."""
+        model, active, L = self.checker.model, self.energy.active, self.Lt.transpose().tolist()
+        n, d = self.d - model.nc, self.d
+        whole, plant = sides_of(model, active), sides_of(model, active[:n])
+        offset = [[v - ball(*z)] for v, z in zip(model.xi_star, self.z_bar[n:], strict=True)]
+        tail = arb_mat([row[n:] for row in L[n:]]).transpose() * arb_mat(offset)
+        shift = norm([row[0] for row in tail.tolist()])
+        within = (radius * radius - shift * shift).max(arb(0)).sqrt()
+        volume = ball_volume(d) * radius**d / abs(self.Lt.det())
+        covered = arb_mat([row[:n] for row in L[:n]]).det()  # of the plant's block of P, rooted
+        inverse = self.P.inv().tolist()
+        shadow = arb_mat([row[:n] for row in inverse[:n]]).det().max(arb(0)).sqrt()
+        half = zip(active, self._half(radius), strict=True)
+        return {
+            "volume": volume,
+            "domain_share": volume / whole,
+            "slice_share": ball_volume(n) * within**n / abs(covered) / plant,
+            "plant_share": ball_volume(n) * radius**n * shadow / plant,
+            **{f"reach_{model.states[i]}": h for i, h in half},
+        }
 
     def _flat(self, box: Box, radius: arb) -> bool:
         def test(piece: Box) -> bool:

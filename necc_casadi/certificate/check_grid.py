@@ -10,12 +10,13 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from flint import arb
+from flint import arb, arb_mat
 
 from necc_casadi.certificate.ball_energy import Energy
-from necc_casadi.certificate.ball_matrices import positive
+from necc_casadi.certificate.ball_matrices import middle_of, positive
 from necc_casadi.certificate.balls import Box, everywhere
 from necc_casadi.certificate.check_evidence import Evidence
+from necc_casadi.certificate.check_sizes import sides_of, sizes_hold
 
 __all__ = ["GridProof"]
 
@@ -56,7 +57,7 @@ class GridProof:
             and self._in_domain()
             and self._core()
             and all(self._regular(cell) and self._enclosed(cell) for cell in self.cells)
-            and self._covers(data, share)
+            and sizes_hold(self._sizes(), data, share)
         )
 
     def _in_domain(self) -> bool:
@@ -106,9 +107,20 @@ class GridProof:
             gradient = self.energy.gradient(box)
             decided = any(bool(g > 0) or bool(g < 0) for g in gradient)
             finite = all(g.is_finite() for g in gradient)
-            return (decided and finite) or bool(self.energy.value(box) > self.level)
+            settled = finite and (decided or self._falls(box))
+            return settled or bool(self.energy.value(box) > self.level)
 
         return everywhere(self.box(cell), test, 8)
+
+    def _falls(self, box: Box) -> bool:
+        """Whether V falls or rises along a direction in which the Casimirs hardly change."""
+        middle: Box = tuple((lo / 2 + hi / 2,) * 2 for lo, hi in box)
+        slopes = middle_of(arb_mat(self.energy.casimirs(middle)[1]))
+        if not np.isfinite(slopes).all():
+            return False
+        directions = np.linalg.svd(slopes)[2][len(slopes) :]
+        along = (self.energy.slope_along(box, t.tolist()) for t in directions)
+        return any(bool(v > 0) or bool(v < 0) for v in along)
 
     def _enclosed(self, cell: tuple[int, ...]) -> bool:
         """V > c on every face of a marked cell that no other marked cell shares."""
@@ -123,24 +135,55 @@ class GridProof:
                     return False
         return True
 
-    def _covers(self, data: Mapping[str, Any], share: float) -> bool:
-        inside = [c for c in self.cells if self._below(self.box(c))]
-        plant = [k for k, i in enumerate(self.energy.active) if i < self.checker.model.n]
-        shadows = {tuple(c[k] for k in plant) for c in inside}
-        everything = range(len(self.shape))
-        return (
-            share == data["domain_share"]
-            and bool(self._share(len(inside), everything) >= float(share))
-            and bool(self._share(len(shadows), plant) >= float(data["plant_share"]))
-        )
+    def _sizes(self) -> dict[str, arb]:
+        """Volume, shares and reach of the cells that are wholly in {V ≤ c}; see the claim."""
+        active, model = self.energy.active, self.checker.model
+        n = self.energy.d - model.nc  # of the plant's axes
+        inside = {c for c in self.cells if self._below(self.box(c))}
+        volume = len(inside) * self._cell(range(self.energy.d))
+        seen = {c[:n] for c in inside}
+        rest = sorted(self.cells - inside)
+        seen |= {c[:n] for c in rest if c[:n] not in seen and self._below(self._thin(c, n))}
+        plant = self._cell(range(n)) / sides_of(model, active[:n])
+        reach = {f"reach_{model.states[i]}": self._reach(k, inside) for k, i in enumerate(active)}
+        return {
+            "volume": volume,
+            "domain_share": volume / sides_of(model, active),
+            "slice_share": len(self._slice(n)) * plant,
+            "plant_share": len(seen) * plant,
+            **reach,
+        }
 
     def _below(self, box: Box) -> bool:
         return everywhere(box, lambda b: bool(self.energy.value(b) <= self.level), 3)
 
-    def _share(self, count: int, axes: Sequence[int]) -> arb:
-        bounds = self.checker.model.bounds()
-        result = arb(count) * (1 + arb(2) ** -40)  # the maker divides by a rounded volume
+    def _cell(self, axes: Sequence[int]) -> arb:
+        """Product of a cell's sides along some axes."""
+        result = arb(1)
         for k in axes:
-            lo, hi = bounds[self.energy.active[k]]
-            result = result * self.step[k] / (hi - lo)
-        return arb(result.upper())
+            result = result * self.step[k]
+        return result
+
+    def _thin(self, cell: Sequence[int], n: int) -> Box:
+        """The plant's part of a cell at the middle of its ξ."""
+        box = self.box(cell)
+        return (*box[:n], *((lo / 2 + hi / 2,) * 2 for lo, hi in box[n:]))
+
+    def _slice(self, n: int) -> set[tuple[int, ...]]:
+        """Cells of the plant's axes on which V ≤ c at ξ = ξ*, which lies in the component."""
+        at = [(v, v) for v in self.checker.model.xi_star]
+        return {
+            cell[:n]
+            for cell in self.cells
+            if all(lo <= v <= hi for (lo, hi), (v, _) in zip(self.box(cell)[n:], at, strict=True))
+            and self._below((*self.box(cell)[:n], *at))
+        }
+
+    def _reach(self, axis: int, inside: set[tuple[int, ...]]) -> arb:
+        """How far points in the region are from z̄ along an axis, the shorter side."""
+        low, high = self.z_bar[axis]
+        indices = [self.first[axis] + cell[axis] for cell in inside]
+        if not indices:
+            return arb(0)
+        h = self.step[axis]
+        return arb((low - arb(min(indices)) * h).min(arb(max(indices) + 1) * h - high).max(arb(0)))

@@ -17,11 +17,11 @@ import numpy.typing as npt
 
 from necc_casadi.certificate.definite import Truth, positive_definite
 from necc_casadi.certificate.enclosures import Potential
-from necc_casadi.certificate.intervals import Interval
+from necc_casadi.certificate.intervals import Interval, matmul, point
 from necc_casadi.certificate.jets import Jet
 from necc_casadi.networks import Vector
 
-__all__ = ["Flood", "Grid", "flood", "make_grid"]
+__all__ = ["Flood", "Grid", "boundary", "flood", "make_grid", "spread"]
 
 Indices = npt.NDArray[np.intp]
 
@@ -92,42 +92,59 @@ def flood(potential: Potential, grid: Grid, z_bar: Interval) -> Flood | None:
     if start.size == 0:
         return None
     with np.errstate(all="ignore"):
-        jet = potential.jet(grid.boxes(np.arange(grid.size)))
-        low = _finite_lower(jet)
-        open_cells = ~_excludes_zero(jet)
-        convex = positive_definite(potential.lower_hessian(grid.boxes(np.arange(grid.size))))
-        core = _core(grid, open_cells.reshape(grid.shape), convex.reshape(grid.shape), start)
-        if core is None:
+        if not positive_definite(potential.lower_hessian(grid.boxes(start))).all():
             return None
-        open_cells &= ~_block(grid, core).ravel()
+        boxes = grid.boxes(np.arange(grid.size))
+        jet = potential.jet(boxes)
+        low = _finite_lower(jet)
+        open_cells = ~_excludes_zero(potential, boxes, jet)
+        core = _core(grid, open_cells.reshape(grid.shape), start)
+        block = np.flatnonzero(_block(grid, core))
+        if not positive_definite(potential.lower_hessian(grid.boxes(block))).all():
+            return None
+        open_cells[block] = False
         faces = _faces(potential, grid)
         limit = np.minimum(faces, np.where(open_cells, low, np.inf))
         for _ in range(_ROUNDS):
-            level, levels, at = _spread(grid, low, limit, start)
+            level, levels, at = spread(grid, low, limit, start)
             worst = np.flatnonzero(open_cells & (levels.ravel() <= level) & (limit < faces))
             if worst.size == 0 or faces[at] <= limit[at]:
                 break
             limit[worst] = np.minimum(faces[worst], _refined(potential, grid, worst))
-        level, levels, at = _spread(grid, low, limit, start)
+        level, levels, at = spread(grid, low, limit, start)
     return Flood(
         level, levels, jet.value.hi.reshape(grid.shape), core, at, bool(faces[at] <= limit[at])
     )
 
 
-def _excludes_zero(jet: Jet) -> Truth:
-    """Boxes on which V is defined and ∇V cannot vanish, (B,)."""
+def _excludes_zero(potential: Potential, boxes: Interval, jet: Jet) -> Truth:
+    """Boxes on which V is defined and ∇V cannot vanish, (B,).
+
+    Where every component of ∇V may vanish, its components along the eigenvectors T of ∇²V are
+    bounded by T∇V(middle) + T∇²V · (box − middle): in a narrow valley that is not along an axis
+    only these tell that V falls along it.
+    """
     defined = np.isfinite(jet.value.lo) & np.isfinite(jet.grad.lo + jet.grad.hi).all(-1)
-    return np.asarray(defined & ((jet.grad.lo > 0) | (jet.grad.hi < 0)).any(-1))
+    excluded: Truth = np.asarray(defined & ((jet.grad.lo > 0) | (jet.grad.hi < 0)).any(-1))
+    hess = jet.hess
+    usable = defined & ~excluded & np.isfinite(hess.lo + hess.hi).all((-1, -2))
+    left = np.flatnonzero(usable)
+    if left.size:
+        middle, hess = boxes[left].mid, hess[left]
+        T = np.swapaxes(np.linalg.eigh(hess.mid + np.swapaxes(hess.mid, -1, -2))[1], -1, -2)
+        steps = (boxes[left] - middle)[..., None]
+        slope = potential.jet(point(middle)).grad[..., None]
+        turned = (matmul(T, slope) + matmul(matmul(T, hess), steps))[..., 0]
+        excluded[left] = ((turned.lo > 0) | (turned.hi < 0)).any(-1)
+    return excluded
 
 
 def _finite_lower(jet: Jet) -> Vector:
     return np.where(np.isfinite(jet.value.lo), jet.value.lo, -np.inf)
 
 
-def _core(
-    grid: Grid, undecided: Truth, convex: Truth, start: Indices
-) -> tuple[tuple[int, ...], tuple[int, ...]] | None:
-    """The block around the undecided cells that touch z̄'s; None unless V is convex on it."""
+def _core(grid: Grid, undecided: Truth, start: Indices) -> tuple[tuple[int, ...], tuple[int, ...]]:
+    """The block around the undecided cells that touch z̄'s."""
     near = np.zeros(grid.shape, dtype=bool)
     near.ravel()[start] = True
     while True:
@@ -136,11 +153,7 @@ def _core(
             break
         near = grown
     index = np.argwhere(near)
-    low, high = index.min(0), index.max(0)
-    block = tuple(slice(a, b + 1) for a, b in zip(low, high, strict=True))
-    if not convex[block].all():
-        return None
-    return tuple(map(int, low)), tuple(map(int, high))
+    return tuple(map(int, index.min(0))), tuple(map(int, index.max(0)))
 
 
 def _dilated(mask: Truth) -> Truth:
@@ -159,6 +172,13 @@ def _block(grid: Grid, core: tuple[tuple[int, ...], tuple[int, ...]]) -> Truth:
     return mask
 
 
+def boundary(grid: Grid) -> Truth:
+    """Which cells lie on the boundary of the grid, (size,)."""
+    mask = np.ones(grid.shape, dtype=bool)
+    mask[(slice(1, -1),) * mask.ndim] = False
+    return mask.ravel()
+
+
 def _faces(potential: Potential, grid: Grid) -> Vector:
     """Lower bound of V on the faces that each cell shares with the boundary; +∞ inside."""
     result = np.full(grid.size, np.inf)
@@ -174,7 +194,7 @@ def _faces(potential: Potential, grid: Grid) -> Vector:
     return result
 
 
-def _spread(grid: Grid, low: Vector, limit: Vector, start: Indices) -> tuple[float, Vector, int]:
+def spread(grid: Grid, low: Vector, limit: Vector, start: Indices) -> tuple[float, Vector, int]:
     """Flood in the order of the levels: (c, levels of the cells reached, cell that limits c)."""
     levels = np.full(grid.size, np.inf)
     queue = [(low[i], int(i)) for i in start]
@@ -209,7 +229,8 @@ def _refined(potential: Potential, grid: Grid, cells: Indices) -> Vector:
     offsets = np.array(list(product(range(parts), repeat=d)))
     step = np.array(grid.step) / parts
     lo = boxes.lo[:, None] + offsets * step
-    jet = potential.jet(Interval(lo.reshape(-1, d), (lo + step).reshape(-1, d)))
-    open_pieces = np.where(_excludes_zero(jet), np.inf, _finite_lower(jet))
+    pieces = Interval(lo.reshape(-1, d), (lo + step).reshape(-1, d))
+    jet = potential.jet(pieces)
+    open_pieces = np.where(_excludes_zero(potential, pieces, jet), np.inf, _finite_lower(jet))
     lowest: Vector = open_pieces.reshape(len(cells), -1).min(1)
     return lowest

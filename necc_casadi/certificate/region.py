@@ -16,19 +16,18 @@ import numpy as np
 
 from necc_casadi.artifact import Design
 from necc_casadi.certificate.chart import ChartRegion, widest_chart
-from necc_casadi.certificate.core import half_axes, widest_core
+from necc_casadi.certificate.core import widest_core
 from necc_casadi.certificate.definite import Truth
 from necc_casadi.certificate.enclosures import Potential
 from necc_casadi.certificate.equilibrium import Equilibrium
-from necc_casadi.certificate.grid import Flood, Grid, flood, make_grid
+from necc_casadi.certificate.grid import Grid
 from necc_casadi.certificate.intervals import Interval
+from necc_casadi.certificate.search import GRID_CELLS, Found, widest_grid
+from necc_casadi.certificate.sizes import ellipsoid_sizes, grid_sizes
 from necc_casadi.certificate.structure import quadratic_states, stiffness
 from necc_casadi.networks import Vector
 
 __all__ = ["CoreRegion", "Domain", "GridRegion", "Proof", "Region", "domain_of", "prove_region"]
-
-#: Cells of the grid, by dimension; more dimensions are the business of the convex core.
-_CELLS = {1: 4096, 2: 128**2, 3: 40**3}
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,7 +138,7 @@ def prove_region(potential: Potential, equilibrium: Equilibrium) -> Proof:
     limit = (ceiling, f"the domain, in {state}")
     inner = domain.of(reduced.active)
     proof = None
-    if len(reduced.active) in _CELLS:
+    if len(reduced.active) in GRID_CELLS:
         proof = _on_grid(reduced, inner, z_bar, limit)
     if proof is None:
         proof = _in_chart(reduced, inner, z_bar, limit)
@@ -152,17 +151,18 @@ def prove_region(potential: Potential, equilibrium: Equilibrium) -> Proof:
 def _on_grid(
     potential: Potential, domain: Domain, z_bar: Interval, limit: tuple[float, str]
 ) -> Proof | None:
-    """The region on a grid; None where the grid is too coarse for the surroundings of z̄."""
-    grid = make_grid(domain.lo, domain.hi, _CELLS[len(potential.active)])
-    found = flood(potential, grid, z_bar)
-    if found is None or not found.level > potential.jet(z_bar[None, :]).value.hi[0]:
+    """The region on a grid; None where none is fine enough for the surroundings of z̄."""
+    found = widest_grid(potential, Interval(domain.lo, domain.hi), z_bar, limit[0])
+    if found is None:
         return None
-    level, limited_by = min(limit, (found.level, _limit(potential, grid, found)))
-    mask: Truth = np.asarray(found.levels <= level)
+    grid = found.grid
+    limited_by = limit[1] if found.level >= limit[0] else _limit(potential, found, domain)
     region = GridRegion(
-        level, potential.active, grid.first, grid.shape, grid.step, found.core, _packed(mask)
-    )
-    return Proof(region, limited_by, _shares(potential.design, region, found, mask, domain))
+        found.level, potential.active, grid.first, grid.shape, grid.step, found.flood.core,
+        _packed(found.mask),
+    )  # fmt: skip
+    box = Interval(domain.lo, domain.hi)
+    return Proof(region, limited_by, grid_sizes(potential, found, box, z_bar))
 
 
 def _in_chart(
@@ -204,20 +204,10 @@ def _in_ellipsoid(
         tuple(map(float, core.step)),
         core.above,
     )
-    return Proof(region, limited_by, _ellipsoid_shares(potential, region, height, domain))
-
-
-def _ellipsoid_shares(
-    potential: Potential, region: CoreRegion, height: float, domain: Domain
-) -> dict[str, float]:
-    """What the ellipsoid ½ above |e|² ≤ 0.999 height, part of Ω, covers."""
-    L, d = np.array(region.L), len(region.active)
-    radius = min(math.sqrt(2 * 0.999 * height / region.above), region.radii[-1])
-    ball = math.pi ** (d / 2) / math.gamma(d / 2 + 1) * radius**d
-    half = 0.999 * half_axes(L, radius)
-    states = [potential.design.loop.states[i] for i in potential.active]
-    shares = {"domain_share": 0.999 * ball / float(np.prod(np.diagonal(L))) / domain.volume}
-    return shares | {f"reach_{s}": float(v) for s, v in zip(states, half, strict=True)}
+    # ½ above |e|² ≤ 0.999 height is part of Ω
+    radius = min(math.sqrt(2 * 0.999 * height / core.above), core.radius)
+    box = Interval(domain.lo, domain.hi)
+    return Proof(region, limited_by, ellipsoid_sizes(potential, core.L, radius, box, z_bar))
 
 
 def momentum_ceiling(
@@ -239,28 +229,18 @@ def momentum_ceiling(
     return float(np.nextafter(ceilings[tightest], -np.inf)), states[tightest]
 
 
-def _limit(potential: Potential, grid: Grid, found: Flood) -> str:
-    box = grid.boxes(np.array([found.limiting]))
+def _limit(potential: Potential, found: Found, domain: Domain) -> str:
+    """What stops the level of a flood, and where."""
+    grid = found.grid
+    box = grid.boxes(np.array([found.flood.limiting]))[0]
     names = [potential.design.loop.states[i] for i in potential.active]
-    where = ", ".join(f"{n} = {v:.3g}" for n, v in zip(names, box.mid[0], strict=True))
-    return f"the domain, near {where}" if found.at_boundary else f"a critical point near {where}"
+    where = ", ".join(f"{n} = {v:.3g}" for n, v in zip(names, box.mid, strict=True))
+    if not found.flood.at_boundary:
+        return f"a critical point near {where}"
+    step = np.array(grid.step)
+    at_border = ((box.lo - step < domain.lo) | (box.hi + step > domain.hi)).any()
+    return f"the domain, near {where}" if at_border else f"the width of the cells near {where}"
 
 
 def _packed(mask: Truth) -> str:
     return base64.b64encode(zlib.compress(np.packbits(mask.ravel()).tobytes(), 9)).decode()
-
-
-def _shares(
-    design: Design, region: GridRegion, found: Flood, mask: Truth, domain: Domain
-) -> dict[str, float]:
-    """Lower bounds of shares of the domain, momenta at rest: of all states, and of the plant's."""
-    inside = mask & (found.upper <= region.level)
-    cell = float(np.prod(region.step))
-    plant = [k for k, i in enumerate(region.active) if i < design.loop.plant.n]
-    controller = tuple(k for k in range(len(region.active)) if k not in plant)
-    side = float(np.prod([region.step[k] for k in plant]))
-    seen = inside.any(axis=controller)
-    return {
-        "domain_share": float(inside.sum()) * cell / domain.volume,
-        "plant_share": float(seen.sum()) * side / domain.of(plant).volume,
-    }
