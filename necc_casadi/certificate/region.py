@@ -22,6 +22,7 @@ from necc_casadi.certificate.enclosures import Potential
 from necc_casadi.certificate.equilibrium import Equilibrium
 from necc_casadi.certificate.grid import Flood, Grid, flood, make_grid
 from necc_casadi.certificate.intervals import Interval
+from necc_casadi.certificate.statements import Limit, limited_by
 from necc_casadi.certificate.structure import quadratic_states, stiffness
 from necc_casadi.networks import Vector
 
@@ -121,8 +122,18 @@ class Proof:
     """A region, what limits it, and what it covers; `region` is None where nothing is proved."""
 
     region: Region | None
-    limited_by: str
+    limit: Limit | None  # None where nothing that could be named stopped the search
     shares: Mapping[str, float]
+
+    def limited_by(self, states: Sequence[str]) -> str:
+        """What limits the region, in words."""
+        if self.limit is None:
+            return "no neighbourhood of z̄ is proved free of other critical points"
+        region = self.region
+        if isinstance(region, GridRegion) and self.limit.kind != "momentum":
+            place = self.limit.place(region.first, region.step)
+            return limited_by(self.limit, region.method, states, region.active, place)
+        return limited_by(self.limit, "" if region is None else region.method, states)
 
 
 def prove_region(potential: Potential, equilibrium: Equilibrium) -> Proof:
@@ -135,8 +146,8 @@ def prove_region(potential: Potential, equilibrium: Equilibrium) -> Proof:
     bottom = reduced.jet(z_bar[None, :]).value
     ceiling, state = momentum_ceiling(design, resting, domain, float(bottom.lo[0]))
     if not ceiling > bottom.hi[0]:
-        return Proof(None, f"the domain, in {state}", {})
-    limit = (ceiling, f"the domain, in {state}")
+        return Proof(None, Limit("momentum", (state,)), {})
+    limit = (ceiling, Limit("momentum", (state,)))
     inner = domain.of(reduced.active)
     proof = None
     if len(reduced.active) in _CELLS:
@@ -145,52 +156,53 @@ def prove_region(potential: Potential, equilibrium: Equilibrium) -> Proof:
         proof = _in_chart(reduced, inner, z_bar, limit)
     if proof is None:
         proof = _in_ellipsoid(reduced, inner, z_bar, limit)
-    reason = "no neighbourhood of z̄ is proved free of other critical points"
-    return proof or Proof(None, reason, {})
+    return proof or Proof(None, None, {})
 
 
 def _on_grid(
-    potential: Potential, domain: Domain, z_bar: Interval, limit: tuple[float, str]
+    potential: Potential, domain: Domain, z_bar: Interval, limit: tuple[float, Limit]
 ) -> Proof | None:
     """The region on a grid; None where the grid is too coarse for the surroundings of z̄."""
     grid = make_grid(domain.lo, domain.hi, _CELLS[len(potential.active)])
     found = flood(potential, grid, z_bar)
     if found is None or not found.level > potential.jet(z_bar[None, :]).value.hi[0]:
         return None
-    level, limited_by = min(limit, (found.level, _limit(potential, grid, found)))
+    cell = tuple(int(k) for k in np.unravel_index(found.limiting, grid.shape))
+    own = Limit("border" if found.at_boundary else "critical", cell)
+    level, stopped = min(limit, (found.level, own))
     mask: Truth = np.asarray(found.levels <= level)
     region = GridRegion(
         level, potential.active, grid.first, grid.shape, grid.step, found.core, _packed(mask)
     )
-    return Proof(region, limited_by, _shares(potential.design, region, found, mask, domain))
+    return Proof(region, stopped, _shares(potential.design, region, found, mask, domain))
 
 
 def _in_chart(
-    potential: Potential, domain: Domain, z_bar: Interval, limit: tuple[float, str]
+    potential: Potential, domain: Domain, z_bar: Interval, limit: tuple[float, Limit]
 ) -> Proof | None:
     """The region in the coordinates (c, ξ), with a lower bound of its volume and half-widths."""
     region = widest_chart(potential, z_bar.mid, domain.lo, domain.hi, limit[0])
     if region is None or not region.level > potential.jet(z_bar[None, :]).value.hi[0]:
         return None
-    limited_by = limit[1] if region.level >= limit[0] else "the bounds of the Casimirs' curvature"
+    stopped = limit[1] if region.level >= limit[0] else Limit("curvature")
     B, d, states = np.array(region.basis), len(region.active), potential.design.loop.states
     ball = math.pi ** (d / 2) / math.gamma(d / 2 + 1) * region.inner**d
     half = 0.999 * region.inner * np.sqrt((B**2).sum(1))
     shares = {"domain_share": 0.999 * ball * abs(float(np.linalg.det(B))) / domain.volume}
     reach = zip(region.active, half, strict=True)
     shares |= {f"reach_{states[i]}": float(v) for i, v in reach}
-    return Proof(region, limited_by, shares)
+    return Proof(region, stopped, shares)
 
 
 def _in_ellipsoid(
-    potential: Potential, domain: Domain, z_bar: Interval, limit: tuple[float, str]
+    potential: Potential, domain: Domain, z_bar: Interval, limit: tuple[float, Limit]
 ) -> Proof | None:
     """The region in an ellipsoid around z̄, with a lower bound of its volume and half-widths."""
     with np.errstate(all="ignore"):
         core = widest_core(potential, z_bar.mid, domain.lo, domain.hi)
     if core is None:
         return None
-    level, limited_by = min(limit, (core.level, "the bound of the curvature of V"))
+    level, stopped = min(limit, (core.level, Limit("curvature")))
     height = level - float(potential.jet(z_bar[None, :]).value.hi[0])
     if not height > 0:
         return None
@@ -204,7 +216,7 @@ def _in_ellipsoid(
         tuple(map(float, core.step)),
         core.above,
     )
-    return Proof(region, limited_by, _ellipsoid_shares(potential, region, height, domain))
+    return Proof(region, stopped, _ellipsoid_shares(potential, region, height, domain))
 
 
 def _ellipsoid_shares(
@@ -222,28 +234,20 @@ def _ellipsoid_shares(
 
 def momentum_ceiling(
     design: Design, resting: Sequence[int], domain: Domain, bottom: float
-) -> tuple[float, str]:
+) -> tuple[float, int]:
     """Level below which the momenta stay in the domain, and the momentum that binds."""
     if not resting:
-        return np.inf, ""
+        return np.inf, -1
     active = [i for i in range(design.loop.n) if i not in resting]
     y, s = domain.of(active), domain.of(resting)
     reach = np.minimum(-s.lo, s.hi)
     t = stiffness(design, resting, Interval(y.lo, y.hi))
-    states = [design.loop.states[i] for i in resting]
     if t is None or (reach <= 0).any():
-        return -np.inf, states[int(np.argmin(reach))]
+        return -np.inf, resting[int(np.argmin(reach))]
     delta = 1.0 if design.form.phi is None else float(design.form.phi.delta)
     ceilings = bottom + 0.5 * delta * t * reach**2 * (1 - 1e-12)
     tightest = int(np.argmin(ceilings))
-    return float(np.nextafter(ceilings[tightest], -np.inf)), states[tightest]
-
-
-def _limit(potential: Potential, grid: Grid, found: Flood) -> str:
-    box = grid.boxes(np.array([found.limiting]))
-    names = [potential.design.loop.states[i] for i in potential.active]
-    where = ", ".join(f"{n} = {v:.3g}" for n, v in zip(names, box.mid[0], strict=True))
-    return f"the domain, near {where}" if found.at_boundary else f"a critical point near {where}"
+    return float(np.nextafter(ceilings[tightest], -np.inf)), resting[tightest]
 
 
 def _packed(mask: Truth) -> str:
