@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
+from necc_casadi.certificate.balls import Box, ball, ends
 from necc_casadi.certificate.check_chart import ChartProof
 from necc_casadi.certificate.check_core import CoreProof
 from necc_casadi.certificate.check_evidence import Checked, Evidence
 from necc_casadi.certificate.check_grid import GridProof
 from necc_casadi.certificate.check_inputs import InputProof
+from necc_casadi.certificate.check_model import Model
 from necc_casadi.certificate.check_motion import at_rest, invariant_points, momenta_inside
 
 __all__ = ["check_input_limits", "check_region"]
@@ -35,10 +39,15 @@ def check_region(evidence: Evidence, sound: bool, stability: str | None) -> Chec
         and at_rest(evidence.model, resting)
         and momenta_inside(evidence.model, resting, active, level, bottom)
     )
-    holds = holds and _PROOFS[region["method"]](evidence, energy, region, z_bar).holds(
+    proof = _PROOFS[region["method"]](evidence, energy, region, z_bar)
+    holds = holds and proof.holds(
         evidence.claimed["region"]["data"], evidence.certificate["domain_share"]
     )
-    converges = stability == "asymptotic" and invariant_points(evidence.model, resting)
+    converges = (
+        holds
+        and stability == "asymptotic"
+        and invariant_points(evidence.model, resting, _surroundings(evidence.model, active, proof))
+    )
     said = "converges" in evidence.claimed["region"]["statement"]
     if said and not converges:
         return Checked("region", False, "convergence from all of the region is not re-proved")
@@ -47,6 +56,21 @@ def check_region(evidence: Evidence, sound: bool, stability: str | None) -> Chec
     elif stability == "asymptotic":
         text += "; z̄ is locally asymptotically stable"
     return Checked("region", holds, text)
+
+
+def _surroundings(
+    model: Model, active: Sequence[int], proof: GridProof | CoreProof | ChartProof
+) -> Box:
+    """A box of all states that holds the region; resting states are in the domain."""
+    box = [(ends(lo)[0], ends(hi)[1]) for lo, hi in model.bounds()]
+    if isinstance(proof, ChartProof):
+        pairs = zip(proof.center, proof.half, strict=True)
+        hull = tuple(ends(c + h * ball(-1.0, 1.0)) for c, h in pairs)
+    else:
+        hull = proof.hull()
+    for i, side in zip(active, hull, strict=True):
+        box[i] = side
+    return tuple(box)
 
 
 def check_input_limits(evidence: Evidence, sound: bool) -> Checked:

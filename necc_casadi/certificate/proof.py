@@ -17,8 +17,16 @@ from necc_casadi.certificate.equilibrium import Equilibrium, prove_equilibrium
 from necc_casadi.certificate.everywhere import why_not_global
 from necc_casadi.certificate.intervals import self_test
 from necc_casadi.certificate.limits import input_level
-from necc_casadi.certificate.region import CoreRegion, GridRegion, Proof, Region, prove_region
-from necc_casadi.certificate.structure import critical_points_are_invariant, quadratic_states
+from necc_casadi.certificate.motion import critical_points_are_invariant
+from necc_casadi.certificate.region import (
+    CoreRegion,
+    GridRegion,
+    Proof,
+    Region,
+    prove_region,
+    surroundings,
+)
+from necc_casadi.certificate.structure import quadratic_states
 from necc_casadi.errors import OutputError
 
 __all__ = ["FORMAT", "Certificate", "certify"]
@@ -181,7 +189,7 @@ def _region_claim(design: Design, proof: Proof, stability: str) -> Claim:
     if stability != "asymptotic":
         return Claim("region", True, f"{where} and is invariant; z̄ is stable", proof.shares)
     resting = [i for i in range(design.loop.n) if i not in proof.region.active]
-    if critical_points_are_invariant(design, resting):
+    if critical_points_are_invariant(design, resting, surroundings(design, proof.region)):
         return Claim("region", True, f"{where}; every solution from Ω converges to z̄", proof.shares)
     text = f"{where}; Ω is invariant, and z̄ locally asymptotically stable"
     return Claim("region", True, text, proof.shares)

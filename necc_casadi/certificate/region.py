@@ -16,7 +16,7 @@ import numpy as np
 
 from necc_casadi.artifact import Design
 from necc_casadi.certificate.chart import ChartRegion, widest_chart
-from necc_casadi.certificate.core import widest_core
+from necc_casadi.certificate.core import half_axes, widest_core
 from necc_casadi.certificate.definite import Truth
 from necc_casadi.certificate.enclosures import Potential
 from necc_casadi.certificate.equilibrium import Equilibrium
@@ -27,7 +27,16 @@ from necc_casadi.certificate.sizes import ellipsoid_sizes, grid_sizes
 from necc_casadi.certificate.structure import quadratic_states, stiffness
 from necc_casadi.networks import Vector
 
-__all__ = ["CoreRegion", "Domain", "GridRegion", "Proof", "Region", "domain_of", "prove_region"]
+__all__ = [
+    "CoreRegion",
+    "Domain",
+    "GridRegion",
+    "Proof",
+    "Region",
+    "domain_of",
+    "prove_region",
+    "surroundings",
+]
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,6 +131,23 @@ class Proof:
     region: Region | None
     limited_by: str
     shares: Mapping[str, float]
+
+
+def surroundings(design: Design, region: Region) -> Interval:
+    """A box of all states (N,) that holds Ω: the momenta are in the domain."""
+    domain, y = domain_of(design), list(region.active)
+    lo, hi = domain.lo.copy(), domain.hi.copy()
+    if isinstance(region, GridRegion):
+        boxes = region.grid.boxes(np.flatnonzero(region.mask.ravel()))
+        lo[y], hi[y] = boxes.lo.min(0), boxes.hi.max(0)
+        return Interval(lo, hi)
+    if isinstance(region, CoreRegion):
+        half = half_axes(np.array(region.L), region.radii[-1])
+    else:
+        half = region.radius * np.sqrt((np.array(region.basis) ** 2).sum(1)) * (1 + 1e-9)
+    center = np.array(region.center)
+    lo[y], hi[y] = np.nextafter(center - half, -np.inf), np.nextafter(center + half, np.inf)
+    return Interval(lo, hi)
 
 
 def prove_region(potential: Potential, equilibrium: Equilibrium) -> Proof:
