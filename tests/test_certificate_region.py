@@ -13,8 +13,9 @@ from necc_casadi.certificate.enclosures import Potential
 from necc_casadi.certificate.everywhere import curvature_floor, why_not_global
 from necc_casadi.certificate.grid import Grid, flood, make_grid
 from necc_casadi.certificate.intervals import Interval
+from necc_casadi.certificate.motion import critical_points_are_invariant
 from necc_casadi.certificate.perceptrons import network_jet
-from necc_casadi.certificate.structure import critical_points_are_invariant, quadratic_states
+from necc_casadi.certificate.structure import quadratic_states
 from necc_casadi.lyapunov import Form
 from necc_casadi.networks import Network
 

@@ -11,7 +11,7 @@ from flint import arb, arb_mat
 
 from necc_casadi.certificate.ball_energy import Energy
 from necc_casadi.certificate.ball_matrices import norm, positive
-from necc_casadi.certificate.balls import Box, ball, everywhere
+from necc_casadi.certificate.balls import Box, ball, ends, everywhere
 from necc_casadi.certificate.check_evidence import Evidence
 from necc_casadi.certificate.check_sizes import ball_volume, sides_of, sizes_hold
 
@@ -35,6 +35,11 @@ class CoreProof:
         self.radii, self.nu, self.step = (
             [float(v) for v in region[key]] for key in ("radii", "nu", "step")
         )
+
+    def hull(self) -> Box:
+        """A box that holds the region."""
+        half = self._half(self.radii[-1])
+        return tuple(ends(c + h * ball(-1.0, 1.0)) for c, h in zip(self.center, half, strict=True))
 
     def holds(self, data: Mapping[str, Any], share: float) -> bool:
         """Whether the region and the size that is claimed of it are proved again."""

@@ -36,7 +36,7 @@ def check_global(evidence: Evidence, sound: bool) -> Checked:
         floors is not None
         and not sp.Matrix(slopes).free_symbols
         and at_rest(model, resting)
-        and invariant_points(model, resting)
+        and invariant_points(model, resting, None)
         and _bowl(sp.hessian(model.H, s) if s else sp.eye(1), None)
         and _bowl(
             sp.hessian(model.H.subs(dict.fromkeys(s, 0)), y), _from_nets(slopes, floors, model.nc)

@@ -50,6 +50,12 @@ class GridProof:
         """Boxes that cover the region."""
         return [self.box(cell) for cell in self.cells]
 
+    def hull(self) -> Box:
+        """A box that holds the region."""
+        lows, highs = ([f(c[k] for c in self.cells) for k in range(len(self.shape))]
+                       for f in (min, max))  # fmt: skip
+        return tuple((a[0], b[1]) for a, b in zip(self.box(lows), self.box(highs), strict=True))
+
     def holds(self, data: Mapping[str, Any], share: float) -> bool:
         """Whether the region and the size that is claimed of it are proved again."""
         return (

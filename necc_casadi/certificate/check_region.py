@@ -7,12 +7,14 @@ from collections.abc import Sequence
 from flint import arb
 
 import necc_casadi.certificate.statements as statements
+from necc_casadi.certificate.balls import Box, ball, ends
 from necc_casadi.certificate.check_chart import ChartProof
 from necc_casadi.certificate.check_core import CoreProof
 from necc_casadi.certificate.check_evidence import Checked, Evidence
 from necc_casadi.certificate.check_fields import Fields
 from necc_casadi.certificate.check_grid import GridProof
 from necc_casadi.certificate.check_inputs import InputProof
+from necc_casadi.certificate.check_model import Model
 from necc_casadi.certificate.check_motion import at_rest, invariant_points, momentum_inside
 from necc_casadi.certificate.statements import Limit
 
@@ -57,7 +59,7 @@ def check_region(evidence: Evidence, sound: bool) -> Checked:
     reason = statements.limited_by(limit, region["method"], model.states, active, place)
     texts = [
         statements.region(level, float(share), reason, follows)
-        for follows in _consequences(evidence, resting)
+        for follows in _consequences(evidence, resting, _surroundings(model, active, proof))
     ]
     said = evidence.claims["region"]["statement"]
     holds = evidence.certificate["limited_by"] == reason
@@ -70,11 +72,11 @@ def _only_sizes(evidence: Evidence, region: Fields, data: Fields) -> bool:
     return set(data) <= {"limit", *_SIZES} | reach
 
 
-def _consequences(evidence: Evidence, resting: Sequence[int]) -> list[str]:
+def _consequences(evidence: Evidence, resting: Sequence[int], box: Box) -> list[str]:
     """What follows for solutions from the region, the most first."""
     if evidence.certificate["stability"] != "asymptotic":
         return [statements.STABLE]
-    if invariant_points(evidence.model, resting):
+    if invariant_points(evidence.model, resting, box):
         return [statements.CONVERGES, statements.INVARIANT]
     return [statements.INVARIANT]
 
@@ -102,6 +104,21 @@ def _stops(
 def _raised(level: float, bottom: arb, factor: float) -> float:
     base = float(bottom.mid())
     return base + factor * (level - base)
+
+
+def _surroundings(
+    model: Model, active: Sequence[int], proof: GridProof | CoreProof | ChartProof
+) -> Box:
+    """A box of all states that holds the region; resting states are in the domain."""
+    box = [(ends(lo)[0], ends(hi)[1]) for lo, hi in model.bounds()]
+    if isinstance(proof, ChartProof):
+        pairs = zip(proof.center, proof.half, strict=True)
+        hull = tuple(ends(c + h * ball(-1.0, 1.0)) for c, h in pairs)
+    else:
+        hull = proof.hull()
+    for i, side in zip(active, hull, strict=True):
+        box[i] = side
+    return tuple(box)
 
 
 def check_input_limits(evidence: Evidence, sound: bool) -> Checked:

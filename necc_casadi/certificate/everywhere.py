@@ -17,7 +17,8 @@ from necc_casadi.artifact import Design
 from necc_casadi.certificate.definite import positive_definite
 from necc_casadi.certificate.enclosures import matrix_enclosure
 from necc_casadi.certificate.intervals import Interval, matmul, point
-from necc_casadi.certificate.structure import critical_points_are_invariant, subdivide
+from necc_casadi.certificate.motion import critical_points_are_invariant
+from necc_casadi.certificate.structure import subdivide
 from necc_casadi.networks import Network, Vector
 
 __all__ = ["why_not_global"]

@@ -18,8 +18,16 @@ from necc_casadi.certificate.equilibrium import Equilibrium, prove_equilibrium
 from necc_casadi.certificate.everywhere import why_not_global
 from necc_casadi.certificate.intervals import self_test
 from necc_casadi.certificate.limits import input_level
-from necc_casadi.certificate.region import CoreRegion, GridRegion, Proof, Region, prove_region
-from necc_casadi.certificate.structure import critical_points_are_invariant, quadratic_states
+from necc_casadi.certificate.motion import critical_points_are_invariant
+from necc_casadi.certificate.region import (
+    CoreRegion,
+    GridRegion,
+    Proof,
+    Region,
+    prove_region,
+    surroundings,
+)
+from necc_casadi.certificate.structure import quadratic_states
 from necc_casadi.errors import OutputError
 
 __all__ = ["FORMAT", "Certificate", "certify"]
@@ -198,7 +206,9 @@ def _region_claim(design: Design, proof: Proof, stability: str) -> Claim:
     follows = statements.STABLE
     if stability == "asymptotic":
         resting = [i for i in range(design.loop.n) if i not in proof.region.active]
-        every = critical_points_are_invariant(design, resting)
+        every = critical_points_are_invariant(
+            design, resting, surroundings(design, proof.region)
+        )
         follows = statements.CONVERGES if every else statements.INVARIANT
     text = statements.region(proof.region.level, proof.shares["domain_share"], limit, follows)
     return Claim("region", True, text, {**proof.shares, "limit": proof.limit.data})

@@ -16,7 +16,7 @@ import numpy as np
 
 from necc_casadi.artifact import Design
 from necc_casadi.certificate.chart import ChartRegion, widest_chart
-from necc_casadi.certificate.core import widest_core
+from necc_casadi.certificate.core import half_axes, widest_core
 from necc_casadi.certificate.definite import Truth
 from necc_casadi.certificate.enclosures import Potential
 from necc_casadi.certificate.equilibrium import Equilibrium
@@ -28,7 +28,16 @@ from necc_casadi.certificate.statements import Limit, limited_by
 from necc_casadi.certificate.structure import quadratic_states, stiffness
 from necc_casadi.networks import Vector
 
-__all__ = ["CoreRegion", "Domain", "GridRegion", "Proof", "Region", "domain_of", "prove_region"]
+__all__ = [
+    "CoreRegion",
+    "Domain",
+    "GridRegion",
+    "Proof",
+    "Region",
+    "domain_of",
+    "prove_region",
+    "surroundings",
+]
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,6 +142,23 @@ class Proof:
             place = self.limit.place(region.first, region.step)
             return limited_by(self.limit, region.method, states, region.active, place)
         return limited_by(self.limit, "" if region is None else region.method, states)
+
+
+def surroundings(design: Design, region: Region) -> Interval:
+    """A box of all states (N,) that holds Ω: the momenta are in the domain."""
+    domain, y = domain_of(design), list(region.active)
+    lo, hi = domain.lo.copy(), domain.hi.copy()
+    if isinstance(region, GridRegion):
+        boxes = region.grid.boxes(np.flatnonzero(region.mask.ravel()))
+        lo[y], hi[y] = boxes.lo.min(0), boxes.hi.max(0)
+        return Interval(lo, hi)
+    if isinstance(region, CoreRegion):
+        half = half_axes(np.array(region.L), region.radii[-1])
+    else:
+        half = region.radius * np.sqrt((np.array(region.basis) ** 2).sum(1)) * (1 + 1e-9)
+    center = np.array(region.center)
+    lo[y], hi[y] = np.nextafter(center - half, -np.inf), np.nextafter(center + half, np.inf)
+    return Interval(lo, hi)
 
 
 def prove_region(potential: Potential, equilibrium: Equilibrium) -> Proof:

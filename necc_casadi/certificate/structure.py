@@ -22,7 +22,7 @@ from necc_casadi.networks import Vector
 #: Shares of the stiffness at the middles of the boxes that are tried, in this order.
 _SHARES = (0.999999, 0.99, 0.95, 0.9, 0.8, 0.6, 0.4, 0.2)
 
-__all__ = ["critical_points_are_invariant", "quadratic_states", "stiffness", "subdivide"]
+__all__ = ["quadratic_states", "stiffness", "subdivide"]
 
 
 def quadratic_states(design: Design) -> tuple[int, ...]:
@@ -81,24 +81,3 @@ def subdivide(box: Interval, parts: int) -> Interval:
     return Interval(
         np.stack([v.ravel() for v in lows], -1), np.stack([v.ravel() for v in highs], -1)
     )
-
-
-def critical_points_are_invariant(design: Design, resting: Sequence[int]) -> bool:
-    """Whether the largest invariant set of E = {𝒢ᵀ∇V = 0, Rcl∇V = 0} is the critical points of V.
-
-    On E, w = ∇V lies in N = ker [𝒢ᵀ; Rcl] and ż = Jcl w/Φ₁. Let Jcl N be constant, of full column
-    rank, with nonzero rows only for momenta s of :func:`quadratic_states`, and N zero in those
-    rows. Then motion inside E moves s alone, while Φ₁ A(y) s stays zero in the moving rows: since
-    A ≻ 0, s does not move either, so Jcl w = 0 and w = 0. Where R depends on the state only 𝒢 is
-    used, which makes N larger. False means: not proved.
-    """
-    loop = design.loop
-    if loop.ports.free_symbols:
-        return False
-    rows = [sp.Matrix(loop.ports.T)] + ([] if loop.R.free_symbols else [sp.Matrix(loop.R)])
-    N = ex.kernel(sp.Matrix.vstack(*rows))
-    motion = sp.Matrix(loop.J) * N
-    if motion.free_symbols or motion.rank() < N.cols:
-        return False
-    moving = [i for i in range(loop.n) if any(motion[i, :])]
-    return all(i in resting and not any(N[i, :]) for i in moving)
