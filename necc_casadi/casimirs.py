@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import sympy as sp
+from sympy.functions.elementary.trigonometric import TrigonometricFunction
 
 from necc_casadi import exact as ex
 from necc_casadi.ansatz import Search, find_closed_forms, independent, rates
@@ -105,8 +106,17 @@ def _counted(
     count, proved = count_casimirs(sp.Matrix(loop.M), loop.z, len(forms))
     if len(forms) < count:
         find_closed_forms(search, forms, count)
-    functions = tuple(f for f, _ in forms)
+    functions = tuple(f if f in given else _shortened(f) for f, _ in forms)
     return Casimirs(functions, kernel_rank, count, tuple(o for _, o in forms), proved)
+
+
+def _shortened(c: sp.Expr) -> sp.Expr:
+    """The same function by addition theorems, where that is shorter and proved equal."""
+    if not c.has(TrigonometricFunction):
+        return c
+    shorter = sp.trigsimp(c)
+    same = sp.count_ops(shorter) < sp.count_ops(c) and ex.is_zero(c - shorter) is True
+    return shorter if same else c
 
 
 def _proved(loop: ClosedLoop, c: sp.Expr, index: int) -> sp.Expr:

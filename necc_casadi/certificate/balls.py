@@ -7,11 +7,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from functools import reduce
 
 import sympy as sp
 from flint import arb, fmpq
 
-__all__ = ["Box", "ball", "ends", "evaluate", "everywhere", "meet"]
+__all__ = ["Box", "ball", "ends", "evaluate", "everywhere", "meet", "times"]
 
 #: A box: one (lo, hi) of doubles per coordinate.
 Box = tuple[tuple[float, float], ...]
@@ -31,12 +32,43 @@ def _wave(v: arb, f: Callable[[arb], arb], phase: float) -> arb:
     return image if last < first else image.union(arb(-1 if first % 2 else 1))
 
 
+def _monotone(f: Callable[[arb], arb]) -> Callable[[arb], arb]:
+    """A monotone function from its values at the ends of a wide ball, which are sharper."""
+
+    def image(v: arb) -> arb:
+        if not (v.is_finite() and v.rad() > 1e-6):
+            return f(v)
+        return f(v.lower()).union(f(v.upper()))
+
+    return image
+
+
+def _tan(v: arb) -> arb:
+    """Between poles it rises."""
+    return _RISING_TAN(v) if bool(v.cos() > 0) or bool(v.cos() < 0) else arb.tan(v)
+
+
+def _reciprocal(v: arb) -> arb:
+    return _FALLING(v) if bool(v > 0) or bool(v < 0) else 1 / v
+
+
+_RISING_TAN, _FALLING = _monotone(arb.tan), _monotone(lambda v: 1 / v)
 _FUNCTIONS = {
     "sin": lambda v: _wave(v, arb.sin, 0.5), "cos": lambda v: _wave(v, arb.cos, 0.0),
-    "tan": arb.tan, "asin": arb.asin, "acos": arb.acos, "atan": arb.atan, "sinh": arb.sinh,
-    "cosh": arb.cosh, "tanh": arb.tanh, "asinh": arb.asinh, "acosh": arb.acosh,
-    "atanh": arb.atanh, "exp": arb.exp, "log": arb.log,
+    "tan": _tan, "asin": _monotone(arb.asin), "acos": _monotone(arb.acos),
+    "atan": _monotone(arb.atan), "sinh": _monotone(arb.sinh), "cosh": arb.cosh,
+    "tanh": _monotone(arb.tanh), "asinh": _monotone(arb.asinh), "acosh": _monotone(arb.acosh),
+    "atanh": _monotone(arb.atanh), "exp": _monotone(arb.exp), "log": _monotone(arb.log),
 }  # fmt: skip
+
+
+def times(a: arb, b: arb) -> arb:
+    """A product; of two wide balls by their ends, which is sharper than middle and radius."""
+    if a.rad() < 1e-6 or b.rad() < 1e-6 or not (a.is_finite() and b.is_finite()):
+        return a * b
+    low, high = a.lower(), a.upper()
+    first, last = b.lower(), b.upper()
+    return (low * first).union(low * last).union(high * first).union(high * last)
 
 
 def ball(lo: float, hi: float) -> arb:
@@ -60,17 +92,14 @@ def evaluate(expr: sp.Expr, values: Mapping[sp.Symbol, arb]) -> arb:
     if expr.is_Add:
         return sum(parts[1:], parts[0])
     if expr.is_Mul:
-        product = parts[0]
-        for part in parts[1:]:
-            product = product * part
-        return product
+        return reduce(times, parts)
     return _FUNCTIONS[expr.func.__name__](parts[0])
 
 
 def _power(base: arb, exponent: sp.Expr, values: Mapping[sp.Symbol, arb]) -> arb:
     if exponent.is_Integer:
         power = _integer_power(base, abs(int(exponent)))
-        return power if exponent > 0 else 1 / power
+        return power if exponent > 0 else _reciprocal(power)
     if exponent == sp.Rational(1, 2):
         return base.sqrt()
     return (base.log() * evaluate(exponent, values)).exp()

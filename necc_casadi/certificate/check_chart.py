@@ -2,185 +2,291 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping
+import itertools
+from collections.abc import Mapping, Sequence
+from functools import cached_property
 from typing import Any
 
+import numpy as np
 import sympy as sp
 from flint import arb, arb_mat
 
 from necc_casadi.certificate.ball_energy import Energy
-from necc_casadi.certificate.ball_matrices import norm, positive
-from necc_casadi.certificate.ball_networks import Net
-from necc_casadi.certificate.balls import Box, ball, ends, everywhere
+from necc_casadi.certificate.ball_matrices import middle_of, norm
+from necc_casadi.certificate.ball_tapes import Tape
+from necc_casadi.certificate.balls import Box, ball, ends
 from necc_casadi.certificate.check_evidence import Evidence
+from necc_casadi.certificate.check_growth import Rise
+from necc_casadi.certificate.check_sizes import ball_volume, sides_of, sizes_hold
+from necc_casadi.certificate.check_transport import carried
 
 __all__ = ["ChartProof"]
 
-#: How often a box may be halved before a test on it counts as failed.
-_DEPTH = 14
+#: Cells of the fibre per axis, by dimension, and shells of |η| on the way from it.
+_CELLS, _FEWEST, _STEPS = {1: 512, 2: 64, 3: 16}, 5, 12
+#: Parts per axis on which ∂c/∂q is bounded for the volume, and of ways along which V is.
+_COARSE, _PIECES = 3, 32
 
 
 class ChartProof:
-    """V = K(c) + Hc(ξ) in coordinates g = (c, ξ): the map y → g is one-to-one on an ellipsoid.
+    """V = e₀ + K(c) + Hc(ξ): growth of K and Hc, a fibre without folds, motion within the domain.
 
-    y = ȳ + Bw with |w| ≤ ρ, θ = A(g − ḡ), A = diag(A_K, A_H), M = Dθ at ȳ, βₖ ≥ ‖A Dᵏc(B·, …)‖ at ȳ
-    and, for the last k, on the ellipsoid. By Taylor's formula ‖Dθ − M‖ ≤ Σ βₖ ρᵏ⁻¹/(k−1)! and
-    ||θ| − |Mw|| ≤ |θ(0)| + Σ βₖ |w|ᵏ/k!. V is convex in g on |θ| ≤ size, and above c on its border.
+    Where V ≤ c, k(|α|) + k_H(|η|) is at most c − V(ȳ), with α = A_K(c − c̄), η = A_H(ξ − ξ̄). On the
+    fibre ξ = ξ̄ the cells with |α| ≤ a lie inside its box, and ∂α/∂q is regular on them; from there
+    q stays in the domain while ξ moves to |η| ≤ b along the Casimirs.
     """
 
     def __init__(
         self, checker: Evidence, energy: Energy, region: Mapping[str, Any], z_bar: Box
     ) -> None:
         self.checker, self.energy, self.z_bar = checker, energy, z_bar
-        self.level, self.radius, self.size, self.nu, self.above, self.inner = (
-            float(region[key]) for key in ("level", "radius", "size", "nu", "above", "inner")
+        self.level, self.a, self.b, self.above = (
+            float(region[key]) for key in ("level", "a", "b", "above")
         )
-        self.center, self.middle, self.bends = (
-            [float(v) for v in region[key]] for key in ("center", "middle", "bends")
-        )
-        self.B, self.A_K, self.A_H = (
+        self.center, self.middle = ([float(v) for v in region[key]] for key in ("center", "middle"))
+        self.A_K, self.A_H = (
             arb_mat([[float(v) for v in row] for row in region[key]])
-            for key in ("basis", "scale_k", "scale_h")
+            for key in ("scale_k", "scale_h")
         )
+        self.box: Box = tuple((float(lo), float(hi)) for lo, hi in region["fibre"])
         self.d, self.r = len(self.center), len(self.middle)
-        self.half = [arb(self.radius) * norm(row) for row in self.B.tolist()]
+        self._shells = {
+            key: [float(v) for v in region[key]] for key in ("radii_k", "nu_k", "radii_h", "nu_h")
+        }
+
+    def hull(self) -> Box:
+        """A box of the active states that holds the region: q in the domain, |η| ≤ b."""
+        bounds = self.checker.model.bounds()
+        q = [(ends(bounds[i][0])[0], ends(bounds[i][1])[1]) for i in self.energy.active[: self.r]]
+        return (*q, *self._xi(self.b))
 
     def holds(self, data: Mapping[str, Any], share: float) -> bool:
-        """Whether the region and the size that is claimed of it are proved again."""
-        if not (self._separate() and self._in_domain()):
+        """Whether the region and the sizes that are claimed of it are proved again."""
+        if not self._separate():
             return False
-        self.eta, self.offset = self._linear()
-        shift = [[ball(*z) - c] for z, c in zip(self.z_bar, self.center, strict=True)]
-        near = self.B.inv() * arb_mat(shift)
+        near = tuple((min(c, lo), max(c, hi)) for c, (lo, hi) in zip(self.center, self.z_bar, strict=True))
         return (
-            min(self.radius, self.size, self.nu, self.above, self.inner, *self.bends) > 0
-            and bool(norm([row[0] for row in near.tolist()]) < self.inner)
-            and self._one_to_one()
-            and self._rises()
-            and self._covers(data, share)
-            and all(self._bend(k, beta) for k, beta in enumerate(self.bends, 2))
-            and self._curved(self.energy.k, self.middle, self.A_K)
-            and self._curved(self.energy.hc, self.center[self.r :], self.A_H)
+            min(self.a, self.b, self.above) > 0
+            and bool(self.energy.value(near) <= self.level)
+            and self.k.holds()
+            and self.hc.holds()
+            and self._bounded()
+            and self._no_fold()
+            and self._stays()
+            and sizes_hold(self._sizes(data), data, share)
+        )
+
+    @cached_property
+    def k(self) -> Rise:
+        """Growth of K."""
+        shells = self._shells
+        return Rise(
+            self.energy.k, self.middle, self.A_K, shells["radii_k"], shells["nu_k"], self.above
+        )
+
+    @cached_property
+    def hc(self) -> Rise:
+        """Growth of Hc."""
+        shells, xi_bar = self._shells, self.center[self.r :]
+        return Rise(
+            self.energy.hc, xi_bar, self.A_H, shells["radii_h"], shells["nu_h"], self.above
         )
 
     def _separate(self) -> bool:
-        """V = K(c) + Hc(ξ) up to a constant, in as many coordinates as there are states."""
+        """V = K(c) + Hc(ξ) up to a constant, and motions along Casimirs from the momenta."""
         model, energy = self.checker.model, self.energy
-        resting = {v: 0 for i, v in enumerate(model.z) if i not in energy.active}
-        constant = not sp.sympify(model.H).subs(resting).free_symbols
+        resting = [i for i in range(len(model.z)) if i not in energy.active]
+        rest = sp.sympify(model.H).subs(dict.fromkeys((model.z[i] for i in resting), 0))
         counted = self.d == energy.d == self.r + model.nc and self.r == len(model.casimirs)
         last = list(energy.active[self.r :]) == list(range(model.n, model.n + model.nc))
-        shapes = [(m.nrows(), m.ncols()) for m in (self.B, self.A_K, self.A_H)]
-        square = shapes == [(self.d, self.d), (self.r, self.r), (model.nc, model.nc)]
-        plain = energy.phi is None and not energy.betas and len(self.bends) >= 2
-        return constant and counted and last and square and plain
+        if not (counted and last and len(resting) == model.nc and len(self.box) == self.r):
+            return False
+        shapes = [(m.nrows(), m.ncols()) for m in (self.A_K, self.A_H)]
+        square = shapes == [(self.r, self.r), (model.nc, model.nc)]
+        columns = (model.Jcl - model.Rcl).extract(list(energy.active), resting)
+        self.along, self.across = columns[: self.r, :], columns[self.r :, :]
+        self.q, self.xi = energy.variables[: self.r], energy.variables[self.r :]
+        apart = not (self.along.free_symbols - set(self.q) or self.across.free_symbols - set(self.xi))
+        plain = energy.phi is None and not energy.betas and not rest.free_symbols
+        return square and apart and plain
 
-    def _in_domain(self) -> bool:
-        bounds = self.checker.model.bounds()
-        return all(
-            bool(bounds[i][0] <= c - h) and bool(c + h <= bounds[i][1])
-            for i, c, h in zip(self.energy.active, self.center, self.half, strict=True)
+    def _bounded(self) -> bool:
+        """|α| ≤ a and |η| ≤ b wherever V ≤ c, on the shells, which end in the domain."""
+        at: Box = tuple((v, v) for v in self.center)
+        self.height = arb(self.level) - self.energy.value(at) + self.k.dip() + self.hc.dip()
+        reached = self.a <= self._shells["radii_k"][-1] and self.b <= self._shells["radii_h"][-1]
+        outside = self.k.at(arb(self.a)) > self.height and self.hc.at(arb(self.b)) > self.height
+        bounds = self.checker.model.bounds()[self.checker.model.n :]
+        inside = all(
+            bool(bound[0] <= lo) and bool(hi <= bound[1])
+            for bound, (lo, hi) in zip(bounds, self._xi(self.b), strict=True)
         )
+        return reached and bool(outside) and inside
 
-    def _linear(self) -> tuple[arb, arb]:
-        """(η, |θ(0)|): the singular values of M are within η of 1."""
-        at: Box = tuple((c, c) for c in self.center)
-        values, slopes = self.energy.casimirs(at)
-        rows = (self.A_K * arb_mat(slopes)).tolist()
-        rows += [[arb(0)] * self.r + row for row in self.A_H.tolist()]
-        M = arb_mat(rows) * self.B
-        gram = (M.transpose() * M).tolist()
-        eta = norm([v - int(i == j) for i, row in enumerate(gram) for j, v in enumerate(row)])
-        shift = self.A_K * arb_mat([[v - m] for v, m in zip(values, self.middle, strict=True)])
-        return eta, norm([row[0] for row in shift.tolist()])
+    def _xi(self, b: float) -> Box:
+        half = [arb(b) * norm(row) for row in self.A_H.inv().tolist()]
+        pairs = zip(self.center[self.r :], half, strict=True)
+        return tuple(ends(c + h * ball(-1.0, 1.0)) for c, h in pairs)
 
-    def _one_to_one(self) -> bool:
-        """On the ellipsoid, whose image covers |θ| ≤ size."""
-        rho = arb(self.radius)
-        turn = sum((b * rho ** (k - 1) / math.factorial(k - 1) for k, b in self._orders()), arb(0))
-        least = (1 - self.eta) * rho - self.offset - self._curl(rho)
-        return bool(turn < 1 - self.eta) and bool(least > self.size)
+    # --- the fibre --------------------------------------------------------------------------------
 
-    def _orders(self) -> list[tuple[int, arb]]:
-        return [(k, arb(b)) for k, b in enumerate(self.bends, 2)]
-
-    def _curl(self, r: arb) -> arb:
-        return sum((b * r**k / math.factorial(k) for k, b in self._orders()), arb(0))
-
-    def _rises(self) -> bool:
-        """V > c on |θ| = size, and V ≤ c on |w| ≤ inner."""
-        k, dk, _ = self.energy.k(tuple((v, v) for v in self.middle))
-        hc, dhc, _ = self.energy.hc(tuple((v, v) for v in self.center[self.r :]))
-        parts = [
-            A.inv().transpose() * arb_mat([[v] for v in g])
-            for A, g in ((self.A_K, dk), (self.A_H, dhc))
+    def _no_fold(self) -> bool:
+        """Cells of the fibre with |α| ≤ a are regular and inside the box; they are kept."""
+        parts = _CELLS.get(self.r, _FEWEST)
+        edges = [
+            [lo + (hi - lo) * k / parts for k in range(parts)] + [hi] for lo, hi in self.box
         ]
-        slope = norm([row[0] for part in parts for row in part.tolist()])
-        size, r = arb(self.size), arb(self.inner)
-        most = (1 + self.eta) * r + self.offset + self._curl(r)  # of |θ| on |w| ≤ inner
-        border = k + hc - slope * size + arb(self.nu) * size * size / 2
-        highest = k + hc + slope * most + arb(self.above) * most * most / 2
-        within = self.inner <= self.radius and bool(most <= size)
-        return within and bool(border > self.level) and bool(highest <= self.level)
+        self.cells: list[tuple[Box, arb, arb]] = []
+        for index in itertools.product(range(parts), repeat=self.r):
+            cell = tuple((e[k], e[k + 1]) for e, k in zip(edges, index, strict=True))
+            least, most, slopes = self._alpha(cell)
+            if least > self.a:
+                continue
+            if any(k in (0, parts - 1) for k in index) or not _regular(slopes):
+                return False
+            self.cells.append((cell, least, most))
+        return bool(self.cells)
 
-    def _bend(self, order: int, beta: float) -> bool:
-        """βₖ bounds the tensor, flattened to a matrix, in the spectral norm."""
-        last = order == len(self.bends) + 1
-        pairs = zip(self.center, self.half, strict=True)
-        box = tuple(ends(c + h * ball(-1, 1)) if last else (c, c) for c, h in pairs)
-        rows = self.energy.casimir_derivatives(order, box)
-        A, B = self.A_K, self.B
-        if last:  # only magnitudes count where entries vary independently
-            rows = [[abs(v).upper() for v in row] for row in rows]
-            A, B = (arb_mat([[abs(v) for v in row] for row in X.tolist()]) for X in (A, B))
-        flat = [v for row in (A * arb_mat(rows)).tolist() for v in row]
-        for _ in range(order):
-            n = len(flat) // self.d
-            turned = (arb_mat(n, self.d, flat) * B).tolist()
-            per = n // self.r  # the axis that was turned moves behind the rows of A
-            flat = [
-                turned[a * per + i][j]
-                for a in range(self.r)
-                for j in range(self.d)
-                for i in range(per)
-            ]
-        X = arb_mat(self.r * self.d ** (order // 2), self.d ** (order - order // 2), flat)
-        gram = X * X.transpose() if X.nrows() <= X.ncols() else X.transpose() * X
-        room = -gram
-        for i in range(room.nrows()):
-            room[i, i] = room[i, i] + arb(beta) * arb(beta)
-        return positive(room, 0)
+    def _alpha(self, cell: Box) -> tuple[arb, arb, arb_mat]:
+        """Bounds of |α| on a cell of the fibre, and ∂α/∂q."""
+        xi, at = [arb(v) for v in self.center[self.r :]], [arb(lo / 2 + hi / 2) for lo, hi in cell]
+        c, slopes = self._tapes
+        shift = arb_mat([[v - m] for v, m in zip(c((*at, *xi)), self.middle, strict=True)])
+        alpha = [row[0] for row in (self.A_K * shift).tolist()]
+        balls = [ball(*b) for b in cell]
+        G = self.A_K * arb_mat(self.r, self.r, slopes((*balls, *xi)))
+        steps = [b - m for b, m in zip(balls, at, strict=True)]
+        change = (G * arb_mat([[s] for s in steps])).tolist()
+        wide = norm([v + row[0] for v, row in zip(alpha, change, strict=True)])
+        u = [float(v.mid()) for v in alpha]
+        size = float(np.linalg.norm(u)) or 1.0
+        weights = arb_mat([[v / size for v in u]])
+        along = (weights * G).tolist()[0]
+        side = (weights * arb_mat([[v] for v in alpha])).tolist()[0][0]
+        side = side + sum((g * s for g, s in zip(along, steps, strict=True)), arb(0))
+        length = norm([arb(v / size) for v in u]).upper().max(arb(1))
+        return wide.lower().max((side / length).lower()), wide.upper(), G
 
-    def _curved(self, net: Net, middle: list[float], A: arb_mat) -> bool:
-        """ν AᵀA ⪯ ∇² ⪯ above AᵀA on |A(v − middle)| ≤ size."""
-        P, inverse = A.transpose() * A, A.inv()
-        half = [arb(self.size) * norm(row) for row in inverse.tolist()]
-        box = tuple(ends(m + h * ball(-1, 1)) for m, h in zip(middle, half, strict=True))
+    @cached_property
+    def _tapes(self) -> tuple[Tape, Tape]:
+        """C and ∂c/∂q."""
+        casimirs, y = self.checker.model.casimirs, self.energy.variables
+        return Tape(casimirs, y), Tape([sp.diff(c, s) for c in casimirs for s in self.q], y)
 
-        def test(piece: Box) -> bool:
-            e = arb_mat([[ball(*b) - m] for b, m in zip(piece, middle, strict=True)])
-            if norm([row[0] for row in (A * e).tolist()]) > self.size:
-                return True
-            pairs, n = net(piece)[2], len(middle)
-            hess = arb_mat([[pairs[min(i, j), max(i, j)] for j in range(n)] for i in range(n)])
-            return positive(hess - P * arb(self.nu), 0) and positive(P * arb(self.above) - hess, 0)
+    def _fibre_within(self, a: arb) -> list[arb]:
+        """A box around |α| ≤ a on the fibre."""
+        near = [cell for cell, least, _ in self.cells if not least > a]
+        return [
+            ball(min(cell[i][0] for cell in near), max(cell[i][1] for cell in near))
+            for i in range(self.r)
+        ]
 
-        return everywhere(box, test, _DEPTH)
+    def _stays(self) -> bool:
+        """On the way to |η| ≤ b, q stays in the domain."""
+        radii = [arb(self.b) * k / _STEPS for k in range(_STEPS + 1)]
 
-    def _covers(self, data: Mapping[str, Any], share: float) -> bool:
-        """The ellipsoid |w| ≤ inner is in the region; its size is as claimed."""
-        r, d = arb(self.inner), arb(self.d)
-        volume = arb.pi() ** (d / 2) / (d / 2 + 1).gamma() * r**self.d * abs(self.B.det())
-        for i in self.energy.active:
-            lo, hi = self.checker.model.bounds()[i]
-            volume = volume / (hi - lo)
-        states = [self.checker.model.states[i] for i in self.energy.active]
-        half = [r * norm(row) for row in self.B.tolist()]
-        reach = dict(zip(states, half, strict=True))
-        sizes = all(
-            bool(reach[key.removeprefix("reach_")] >= float(value))
-            for key, value in data.items()
-            if key.startswith("reach_")
+        def start(k: int) -> list[arb]:
+            return self._fibre_within(self._radius(self.height - self.hc.at(radii[k])))
+
+        self.reached = carried(
+            self.along, self.across, self.q, self.xi, self.center[self.r :], self.A_H, radii, start
         )
-        return share == data["domain_share"] and bool(volume >= float(share)) and sizes
+        if self.reached is None:
+            return False
+        bounds = [self.checker.model.bounds()[i] for i in self.energy.active[: self.r]]
+        return all(
+            bool(lo <= v.lower()) and bool(v.upper() <= hi)
+            for v, (lo, hi) in zip(self.reached, bounds, strict=True)
+        )
+
+    def _radius(self, height: arb) -> arb:
+        """A radius beyond which K rises by more than `height`, at most a; by bisection."""
+        low, high = arb(0), arb(self.a)
+        for _ in range(30):
+            middle = arb(((low + high) / 2).mid())
+            low, high = (low, middle) if self.k.at(middle) > height else (middle, high)
+        return high
+
+    # --- sizes ------------------------------------------------------------------------------------
+
+    def _sizes(self, data: Mapping[str, Any]) -> dict[str, arb]:
+        model, active = self.checker.model, self.energy.active
+        rho = self._inner()
+        scale = abs(self.A_K.det() * self.A_H.det())
+        volume = ball_volume(self.d) * rho**self.d / (scale * self._steepest())
+        covered = sum((_volume(cell) for cell, _, most in self.cells if most <= rho), arb(0))
+        reach = {f"reach_{model.states[i]}": k for k, i in enumerate(active)}
+        far = {name: float(data[name]) for name in reach if name in data}
+        return {
+            "volume": volume,
+            "domain_share": volume / sides_of(model, active),
+            "slice_share": covered / sides_of(model, active[: self.r]),
+            **{name: arb(s) for name, s in far.items() if self._reaches(reach[name], s)},
+        }
+
+    def _inner(self) -> arb:
+        """A radius of (α, η) up to which V ≤ c."""
+        at: Box = tuple((v, v) for v in self.center)
+        height = (arb(self.level) - self.energy.value(at)).max(arb(0))
+        slope = norm([self.k.slope, self.hc.slope])
+        root = (slope * slope + 2 * self.above * height).sqrt()
+        return arb(((root - slope) / self.above).lower().min(arb(self.a)).min(arb(self.b)))
+
+    def _steepest(self) -> arb:
+        """An upper bound of Π ‖∂cᵢ/∂q‖ on the region."""
+        sides = [*(ends(v) for v in self.reached or []), *self._xi(self.b)]
+        cuts = [
+            [(lo + (hi - lo) * k / _COARSE, lo + (hi - lo) * (k + 1) / _COARSE) for k in range(_COARSE)]
+            for lo, hi in sides
+        ]
+        most = arb(0)
+        for box in itertools.product(*cuts):
+            slopes, product = self._tapes[1]([ball(*b) for b in box]), arb(1)
+            for i in range(self.r):
+                product = product * norm(slopes[i * self.r : (i + 1) * self.r]).upper()
+            most = most.max(product)
+        return most
+
+    @cached_property
+    def _ways(self) -> np.ndarray[Any, Any]:
+        """Directions in which Ω reaches far in each state, a guess."""
+        at: Box = tuple((v, v) for v in self.center)
+        return np.asarray(np.linalg.inv(middle_of(self.energy.hessian(at))))
+
+    def _reaches(self, k: int, s: float) -> bool:
+        """Whether straight ways to points s away in the k-th state, on both sides, stay in Ω."""
+        way = self._ways[k] / self._ways[k, k]
+        return all(self._below(sign * s, way.tolist()) for sign in (-1.0, 1.0))
+
+    def _below(self, s: float, way: Sequence[float]) -> bool:
+        bounds = [self.checker.model.bounds()[i] for i in self.energy.active]
+        for k in range(_PIECES):
+            low, high = s * k / _PIECES, s * (k + 1) / _PIECES
+            pairs = [(c + low * w, c + high * w) for c, w in zip(self.center, way, strict=True)]
+            piece: Box = tuple((min(p), max(p)) for p in pairs)
+            inside = all(
+                bool(b[0] <= lo) and bool(hi <= b[1])
+                for b, (lo, hi) in zip(bounds, piece, strict=True)
+            )
+            if not (inside and bool(self.energy.value(piece) <= self.level)):
+                return False
+        return True
+
+
+def _regular(G: arb_mat) -> bool:
+    """Whether every matrix in the ball is regular."""
+    near = middle_of(G)
+    if not np.isfinite(near).all() or np.linalg.matrix_rank(near) < len(near):
+        return False
+    product = (arb_mat(np.linalg.inv(near).tolist()) * G).tolist()
+    return all(
+        bool(sum((abs(v - int(i == j)) for j, v in enumerate(row)), arb(0)) < 1)
+        for i, row in enumerate(product)
+    )
+
+
+def _volume(cell: Box) -> arb:
+    result = arb(1)
+    for lo, hi in cell:
+        result = result * (arb(hi) - arb(lo))
+    return result

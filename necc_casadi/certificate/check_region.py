@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from flint import arb
 
 import necc_casadi.certificate.statements as statements
-from necc_casadi.certificate.balls import Box, ball, ends
+from necc_casadi.certificate.balls import Box, ends
 from necc_casadi.certificate.check_chart import ChartProof
 from necc_casadi.certificate.check_core import CoreProof
 from necc_casadi.certificate.check_evidence import Checked, Evidence
@@ -111,11 +111,7 @@ def _surroundings(
 ) -> Box:
     """A box of all states that holds the region; resting states are in the domain."""
     box = [(ends(lo)[0], ends(hi)[1]) for lo, hi in model.bounds()]
-    if isinstance(proof, ChartProof):
-        pairs = zip(proof.center, proof.half, strict=True)
-        hull = tuple(ends(c + h * ball(-1.0, 1.0)) for c, h in pairs)
-    else:
-        hull = proof.hull()
+    hull = proof.hull()
     for i, side in zip(active, hull, strict=True):
         box[i] = side
     return tuple(box)

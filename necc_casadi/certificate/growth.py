@@ -22,7 +22,9 @@ from necc_casadi.networks import Network, Vector
 
 __all__ = ["Growth", "growth"]
 
-_SHELLS = 16
+_SHELLS = 8
+#: How far ν stays below what is proved: balls enclose less sharply.
+_ROOM = 0.02
 #: Cells per axis of the box around the ellipsoid, by dimension.
 _PARTS = {1: 128, 2: 32, 3: 14}
 _FEWEST_PARTS = 6
@@ -93,9 +95,9 @@ def growth(network: Network, weights: Vector, middle: Vector, A: Vector, size: f
     outer = size * np.arange(1, _SHELLS + 1) / _SHELLS
     inner = np.concatenate([[0.0], outer[:-1]])
     meets = (lowest[:, None] <= outer) & (highest[:, None] >= inner)
-    nu = np.where(meets, curvature[:, None], np.inf).min(0)
+    nu = np.where(meets, curvature[:, None], np.inf).min(0) - _ROOM
     ends = np.cumsum(nu * (outer - inner)) - steepest
     count = int(np.argmax(~(ends > 0))) if not (ends > 0).all() else _SHELLS
     kept = lowest <= (outer[count - 1] if count else 0.0)
-    above = -float(lower_curvature(-hess[kept], A.T).min()) if count else math.inf
+    above = _ROOM - float(lower_curvature(-hess[kept], A.T).min()) if count else math.inf
     return Growth(at.value[0], steepest, outer[:count], nu[:count], above)

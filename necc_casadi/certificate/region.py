@@ -152,11 +152,13 @@ def surroundings(design: Design, region: Region) -> Interval:
         boxes = region.grid.boxes(np.flatnonzero(region.mask.ravel()))
         lo[y], hi[y] = boxes.lo.min(0), boxes.hi.max(0)
         return Interval(lo, hi)
-    if isinstance(region, CoreRegion):
-        half = half_axes(np.array(region.L), region.radii[-1])
-    else:
-        half = region.radius * np.sqrt((np.array(region.basis) ** 2).sum(1)) * (1 + 1e-9)
     center = np.array(region.center)
+    if isinstance(region, ChartRegion):  # q is somewhere in the domain
+        r = len(region.middle)
+        y, center = y[r:], center[r:]
+        half = half_axes(np.array(region.scale_h).T, region.b)
+    else:
+        half = half_axes(np.array(region.L), region.radii[-1])
     lo[y], hi[y] = np.nextafter(center - half, -np.inf), np.nextafter(center + half, np.inf)
     return Interval(lo, hi)
 
@@ -207,17 +209,12 @@ def _in_chart(
     potential: Potential, domain: Domain, z_bar: Interval, limit: tuple[float, Limit]
 ) -> Proof | None:
     """The region in the coordinates (c, ξ), with a lower bound of its volume and half-widths."""
-    region = widest_chart(potential, z_bar.mid, domain.lo, domain.hi, limit[0])
-    if region is None or not region.level > potential.jet(z_bar[None, :]).value.hi[0]:
+    found = widest_chart(potential, z_bar.mid, domain.lo, domain.hi, limit[0])
+    if found is None or not found[0].level > potential.jet(z_bar[None, :]).value.hi[0]:
         return None
-    stopped = limit[1] if region.level >= limit[0] else Limit("curvature")
-    B, d, states = np.array(region.basis), len(region.active), potential.design.loop.states
-    ball = math.pi ** (d / 2) / math.gamma(d / 2 + 1) * region.inner**d
-    half = 0.999 * region.inner * np.sqrt((B**2).sum(1))
-    shares = {"domain_share": 0.999 * ball * abs(float(np.linalg.det(B))) / domain.volume}
-    reach = zip(region.active, half, strict=True)
-    shares |= {f"reach_{states[i]}": float(v) for i, v in reach}
-    return Proof(region, stopped, shares)
+    region, sizes = found
+    stopped = limit[1] if region.level >= (1 - 1e-4) * limit[0] else Limit("curvature")
+    return Proof(region, stopped, sizes)
 
 
 def _in_ellipsoid(

@@ -1,0 +1,130 @@
+"""Motion along the Casimirs, proved again in balls: boxes that the plant's states cannot leave."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from itertools import product
+
+import numpy as np
+import sympy as sp
+from flint import arb, arb_mat
+
+from necc_casadi.certificate.ball_matrices import middle_of, norm
+from necc_casadi.certificate.ball_tapes import Tape
+from necc_casadi.certificate.balls import ball, times
+
+__all__ = ["carried"]
+
+#: Cells per axis on each face of the cube of directions, and pieces of a box per axis.
+_CONES, _PIECES = 8, 3
+_PICARD = 6
+
+Balls = list[arb]
+
+
+def carried(
+    along: sp.Matrix,
+    across: sp.Matrix,
+    q: Sequence[sp.Symbol],
+    xi: Sequence[sp.Symbol],
+    xi_bar: Sequence[float],
+    scale: arb_mat,
+    radii: Sequence[arb],
+    start: Callable[[int], Balls],
+) -> Balls | None:
+    """A box that holds q on every way ξ̄ + sA_H⁻¹v of dq = A(q)B(ξ)⁻¹dξ; None where none is found.
+
+    On the step from radii[k] to radii[k + 1] of |η|, a way began at a q in start(k).
+    """
+    inverse, found = scale.inv(), None
+    rates, turns = Tape(list(along), q), Tape(list(across), xi)
+    used = [k for k, s in enumerate(q) if along.has(s)]
+    starts = [start(k) for k in range(len(radii) - 1)]
+    for v in _cube(len(xi_bar)):
+        shortest = norm(v).lower()
+        direction = [row[0] for row in (inverse * arb_mat([[x] for x in v])).tolist()]
+        moved = [arb(0)] * len(q)
+        for inner, outer, begin in zip(radii, radii[1:], starts, strict=False):
+            s = (inner / shortest).union(outer / shortest)
+            place = [c + d * s for c, d in zip(xi_bar, direction, strict=True)]
+            turned = _turned(turns(place), direction)
+            width = ((outer - inner) / shortest).upper()
+            origin = [b + m for b, m in zip(begin, moved, strict=True)]
+            step = None if turned is None else _step(rates, used, origin, turned, width)
+            if step is None:
+                return None
+            reached, change = step
+            moved = [m + c for m, c in zip(moved, change, strict=True)]
+            found = reached if found is None else _hull(found, reached)
+    return found
+
+
+def _cube(d: int) -> list[Balls]:
+    """Cells on the surface of ‖v‖∞ = 1."""
+    edges = [ball(-1 + 2 * k / _CONES, -1 + 2 * (k + 1) / _CONES) for k in range(_CONES)]
+    faces = [list(cell) for cell in product(edges, repeat=d - 1)]
+    return [
+        [*face[:axis], arb(sign), *face[axis:]]
+        for axis in range(d)
+        for sign in (-1, 1)
+        for face in faces
+    ]
+
+
+def _turned(across: Balls, v: Balls) -> Balls | None:
+    """B(ξ)⁻¹v; None where B may be singular.
+
+    With N near B⁻¹ and E = NB − I, B⁻¹v = Nv − ENv + E²(I + E)⁻¹Nv.
+    """
+    n = len(v)
+    B = arb_mat(n, n, across)
+    middle = middle_of(B)
+    if not np.isfinite(middle).all() or abs(np.linalg.det(middle)) < 1e-12:
+        return None
+    N = arb_mat(np.linalg.inv(middle).tolist())
+    E = N * B - arb_mat(n, n, [int(i == j) for i in range(n) for j in range(n)])
+    rows = E.tolist()
+    excess = max((sum((abs(x).upper() for x in row), arb(0)) for row in rows), key=float).upper()
+    if not excess < 1:
+        return None
+    x = N * arb_mat([[t] for t in v])
+    size = max((abs(row[0]).upper() for row in x.tolist()), key=float)
+    slack = ball(-1.0, 1.0) * (excess * excess / (1 - excess) * size)
+    return [row[0] + slack for row in (x - E * x).tolist()]
+
+
+def _step(
+    rates: Tape, used: Sequence[int], origin: Balls, turned: Balls, width: arb
+) -> tuple[Balls, Balls] | None:
+    """(q during a step, its change at the end) by Picard's condition."""
+    span = arb(0).union(width)
+    rate, Q = _rate(rates, origin, turned, ()), origin
+    for _ in range(_PICARD):
+        reached = [o + r * span for o, r in zip(origin, rate, strict=True)]
+        if all(a.contains(b) for a, b in zip(Q, reached, strict=True)):
+            return reached, [r * width for r in rate]
+        Q = [x.union(y) + y.rad() * ball(-0.2, 0.2) for x, y in zip(Q, reached, strict=True)]
+        rate = _rate(rates, Q, turned, used)
+    return None
+
+
+def _rate(rates: Tape, Q: Balls, turned: Balls, used: Sequence[int]) -> Balls:
+    """A(q)B(ξ)⁻¹v over a box, cut along some axes for sharpness."""
+    axes = [_pieces(x) if k in used else [x] for k, x in enumerate(Q)]
+    result, n = list[arb](), len(turned)
+    for piece in product(*axes):
+        A = rates(piece)
+        rows = [A[i * n : (i + 1) * n] for i in range(len(Q))]
+        rate = [sum(map(times, row, turned), arb(0)) for row in rows]
+        result = _hull(result, rate) if result else rate
+    return result
+
+
+def _pieces(x: arb) -> Balls:
+    lo, width = x.lower(), x.upper() - x.lower()
+    cuts = [lo + width * k / _PIECES for k in range(_PIECES + 1)]
+    return [a.union(b) for a, b in zip(cuts, cuts[1:], strict=False)]
+
+
+def _hull(a: Balls, b: Balls) -> Balls:
+    return [x.union(y) for x, y in zip(a, b, strict=True)]
