@@ -87,30 +87,17 @@ class Net:
         net.linear = [arb(phi["delta"]), arb(1)]
         return net
 
-    def floor(self, activation: str) -> arb_mat:
-        """A matrix ⪯ ∇²f for all arguments of a network with at most one hidden layer."""
+    def quadratic_curvature(self) -> arb_mat:
+        """Diag κ."""
         total = arb_mat(self.d, self.d)
-        if self.quadratic is not None:
-            for i, kappa in enumerate(self.quadratic[0]):
-                total[i, i] = kappa
-        if len(self.layers) == 1:
-            return total
-        W, out = self.layers[0][0], self.layers[1][0]
-        bend = {"tanh": 4 / (3 * arb(3).sqrt()), "sin": arb(1), "squareplus": arb(1) / 4}[
-            activation
-        ]
-        for j in range(W.nrows()):
-            convex = activation == "squareplus" and not out[0, j] < 0
-            weight = arb(0) if convex else abs(out[0, j]) * bend
-            for i in range(self.d):
-                for k in range(self.d):
-                    total[i, k] = total[i, k] - weight * W[j, i] * W[j, k]
+        for i, kappa in enumerate(self.quadratic[0] if self.quadratic else ()):
+            total[i, i] = kappa
         return total
 
     def __call__(self, box: Box) -> Derivatives:
         """(f, ∇f, ∇²f over pairs i ≤ j) over a box, by mean-value forms about its middle."""
         if box not in self._known:
-            pieces = [self._enclose(piece) for piece in self._pieces(box)]
+            pieces = [self.enclose(piece) for piece in self._pieces(box)]
             self._known[box] = reduce(_union, pieces)
         return self._known[box]
 
@@ -128,7 +115,8 @@ class Net:
         """(f, ∇f) at a point of balls, to the precision that is set."""
         return self._around(point, point)[:2]
 
-    def _enclose(self, box: Box) -> Derivatives:
+    def enclose(self, box: Box) -> Derivatives:
+        """The same over a box that is not cut, and not kept."""
         return self._around([ball(*side) for side in box], [arb(a / 2 + b / 2) for a, b in box])
 
     def _around(self, wide: list[arb], at: list[arb]) -> Derivatives:
