@@ -283,7 +283,8 @@ def matmul(W: Interval | Vector, v: Interval) -> Interval:
     k is at most γₖ|W||v| in any order of summation, also with fused operations.
     """
     W = point(W)
-    mid, rad = v.mid, v.rad
+    mid = v.mid
+    rad = _up(np.maximum(v.hi - mid, mid - v.lo))
     absolute = np.abs(W.mid) + W.rad
     gamma = 4 * (W.shape[-1] + 4) * UNIT
     center = W.mid @ mid

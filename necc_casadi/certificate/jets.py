@@ -239,8 +239,9 @@ def _tanh(v: Interval) -> tuple[Interval, Interval, Interval]:
     """The bend −2t(1 − t²) is least at t = 1/√3 and greatest at −1/√3, monotone in between."""
     t = v.tanh()
     slope = 1.0 - t.square()
-    ends = [end * (end.square() - 1.0) * 2.0 for end in (point(t.lo), point(t.hi))]
-    lo, hi = np.minimum(ends[0].lo, ends[1].lo), np.maximum(ends[0].hi, ends[1].hi)
+    ends = [2.0 * (end * (end * end - 1.0)) for end in (t.lo, t.hi)]
+    error = 1e-15  # four roundings of numbers below 1, twice: at most 6 · 2⁻⁵³
+    lo, hi = np.minimum(*ends) - error, np.maximum(*ends) + error
     turn, top = 0.5773502691896257, 0.7698003589195011  # 1/√3 and 4/(3√3), the latter rounded up
     near = 1e-12  # a turning point this close counts as inside
     lo = np.where((t.lo <= turn + near) & (t.hi >= turn - near), -top, lo)

@@ -7,37 +7,40 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from necc_casadi.certificate.intervals import Interval, concatenate, matmul, point, stack
+from necc_casadi.certificate.intervals import Interval, matmul, point, stack
 from necc_casadi.certificate.jets import Jet, coordinates, sin_slopes, tanh_slopes
 from necc_casadi.networks import MonotonePhi, Network, Vector
 
 __all__ = ["network_jet", "phi_jet"]
 
-#: Enclosures of (f, f′, f″, f‴) at an interval.
-Slopes = Callable[[Interval], tuple[Interval, Interval, Interval, Interval]]
+#: Enclosures of (f, f′, f″) at an interval, and of f‴ where the order asked for is 3.
+Slopes = Callable[[Interval, int], tuple[Interval, ...]]
 
 
-def _tanh(v: Interval) -> tuple[Interval, Interval, Interval, Interval]:
+def _tanh(v: Interval, order: int) -> tuple[Interval, ...]:
     """With s = t²: f‴ = −2 + 8s − 6s², which rises up to s = 2/3 and falls from there."""
     t, slope, bend = tanh_slopes(v)
+    if order < 3:
+        return t, slope, bend
     s = t.square()
-    ends = [(8.0 - 6.0 * end) * end - 2.0 for end in (point(s.lo), point(s.hi))]
-    lo, hi = np.minimum(ends[0].lo, ends[1].lo), np.maximum(ends[0].hi, ends[1].hi)
+    ends = [(8.0 - 6.0 * end) * end - 2.0 for end in (s.lo, s.hi)]
+    error = 4e-15  # four roundings of numbers up to 8: at most 25 · 2⁻⁵³ for s ≤ 1
+    lo, hi = np.minimum(*ends) - error, np.maximum(*ends) + error
     top = (s.lo <= 0.667) & (s.hi >= 0.666)
     return t, slope, bend, Interval(lo, np.where(top, 0.6666666666666667, hi))
 
 
-def _sin(v: Interval) -> tuple[Interval, Interval, Interval, Interval]:
+def _sin(v: Interval, order: int) -> tuple[Interval, ...]:
     s, c, minus = sin_slopes(v)
-    return s, c, minus, -c
+    return (s, c, minus, -c)[: order + 1]
 
 
-def _squareplus(v: Interval) -> tuple[Interval, Interval, Interval, Interval]:
+def _squareplus(v: Interval, order: int) -> tuple[Interval, ...]:
     root = (v.square() + 4.0).sqrt()
     inverse = root.reciprocal()
     cube = inverse.power(3)
-    third = -6.0 * v * cube * inverse.square()
-    return (v + root) * 0.5, (1.0 + v * inverse) * 0.5, 2.0 * cube, third
+    lower = (v + root) * 0.5, (1.0 + v * inverse) * 0.5, 2.0 * cube
+    return lower if order < 3 else (*lower, -6.0 * v * cube * inverse.square())
 
 
 _ACTIVATIONS: dict[str, Slopes] = {"tanh": _tanh, "sin": _sin, "squareplus": _squareplus}
@@ -50,54 +53,48 @@ class _Layer:
     value: Interval  # (B, h)
     grad: Interval  # (B, h, d)
     hess: Interval  # (B, h, d, d)
-    third: Interval  # (B, h, d, d, d)
-
-    def __getitem__(self, key: slice) -> _Layer:
-        return _Layer(self.value[key], self.grad[key], self.hess[key], self.third[key])
+    third: Interval | None  # (B, h, d, d, d); only boxes need it, not their middles
 
     def affine(self, W: Interval, b: Interval) -> _Layer:
         """The next layer before its activation."""
         B, h, d = self.grad.shape
         rows = W.shape[0]
-        parts = [self.hess.reshape(B, h, d * d), self.third.reshape(B, h, d * d * d)]
-        hess, third = (matmul(W, part) for part in parts)
-        return _Layer(
-            matmul(W, self.value[..., None])[..., 0] + b,
-            matmul(W, self.grad),
-            hess.reshape(B, rows, d, d),
-            third.reshape(B, rows, d, d, d),
-        )
+        hess = matmul(W, self.hess.reshape(B, h, d * d)).reshape(B, rows, d, d)
+        third = self.third
+        if third is not None:
+            third = matmul(W, third.reshape(B, h, d**3)).reshape(B, rows, d, d, d)
+        value = matmul(W, self.value[..., None])[..., 0] + b
+        return _Layer(value, matmul(W, self.grad), hess, third)
 
     def apply(self, slopes: Slopes) -> _Layer:
         """The activation, neuron by neuron (Faà di Bruno up to the third order)."""
-        f0, f1, f2, f3 = slopes(self.value)
+        f0, f1, f2, *f3 = slopes(self.value, 2 if self.third is None else 3)
         g, H = self.grad, self.hess
-        gg = g[..., :, None] * g[..., None, :]
-        mixed = H[..., :, :, None] * g[..., None, None, :]
-        turned = [_permuted(mixed, axes) for axes in ((0, 2, 1), (2, 0, 1))]
-        return _Layer(
-            f0,
-            g * f1[..., None],
-            H * f1[..., None, None] + gg * f2[..., None, None],
-            self.third * f1[..., None, None, None]
-            + (mixed + turned[0] + turned[1]) * f2[..., None, None, None]
-            + (gg[..., :, :, None] * g[..., None, None, :]) * f3[..., None, None, None],
-        )
+        scalar = g.shape[-1] == 1
+        gg = g.square()[..., None] if scalar else g[..., :, None] * g[..., None, :]
+        third = self.third
+        if third is not None:
+            bent, turned = f2[..., None, None, None], f3[0][..., None, None, None]
+            third = third * f1[..., None, None, None]
+            if scalar:
+                inner = (H * f2[..., None, None]) * 3.0 + gg * f3[0][..., None, None]
+                third = third + (inner * g[..., None])[..., None]
+            else:
+                mixed = H[..., :, :, None] * g[..., None, None, :]
+                sides = [_permuted(mixed, axes) for axes in ((0, 2, 1), (2, 0, 1))]
+                third = third + (mixed + sides[0] + sides[1]) * bent
+                third = third + (gg[..., :, :, None] * g[..., None, None, :]) * turned
+        hess = H * f1[..., None, None] + gg * f2[..., None, None]
+        return _Layer(f0, g * f1[..., None], hess, third)
 
     def centred(self, middle: _Layer, delta: Interval) -> _Layer:
         """Intersect with the mean-value forms about the middles; delta (B, d)."""
-        steps = [delta[(slice(None), *[None] * k)] for k in (1, 2, 3)]
-        return _Layer(
-            self.value.meet(middle.value + (self.grad * steps[0]).sum()),
-            self.grad.meet(middle.grad + (self.hess * steps[1]).sum()),
-            self.hess.meet(middle.hess + (self.third * steps[2]).sum()),
-            self.third,
-        )
-
-    def above(self, other: _Layer) -> _Layer:
-        """Both in one, these boxes first."""
-        parts = zip(vars(self).values(), vars(other).values(), strict=True)
-        return _Layer(*(concatenate(a, b) for a, b in parts))
+        value = self.value.meet(middle.value + (self.grad * delta[:, None]).sum())
+        grad = self.grad.meet(middle.grad + (self.hess * delta[:, None, None]).sum())
+        hess = self.hess
+        if self.third is not None:
+            hess = hess.meet(middle.hess + (self.third * delta[:, None, None, None]).sum())
+        return _Layer(value, grad, hess, self.third)
 
 
 def _permuted(v: Interval, axes: tuple[int, ...]) -> Interval:
@@ -133,24 +130,19 @@ def phi_jet(phi: MonotonePhi, weights: Vector, X: Interval) -> Jet:
 
 def _layers(layers: list[tuple[Interval, Interval]], activate: Slopes, X: Interval) -> Jet:
     """W_L σ(… σ(W_1 v + b_1) …) + b_L; mean-value forms keep deep networks from exploding."""
-    middle, boxes = X.mid, X.shape[0]
+    middle = X.mid
     delta = X - middle
-    both = concatenate(X, point(middle))
     W, b = layers[0]
-    inner = matmul(W, both[..., None])[..., 0] + b
+    inner = [matmul(W, v[..., None])[..., 0] + b for v in (X, point(middle))]
     if len(layers) == 1:
-        return _linear(inner[:boxes], W)
-    layer = _second_layer(W, activate(inner), *layers[1])
+        return _linear(inner[0], W)
+    wide, mid = (
+        _second_layer(W, activate(v, k), *layers[1]) for v, k in zip(inner, (3, 2), strict=True)
+    )
     for V, c in layers[2:]:
-        layer = _centred(layer, delta).apply(activate).affine(V, c)
-    layer = _centred(layer, delta)
-    return Jet(layer.value[:boxes, 0], layer.grad[:boxes, 0], layer.hess[:boxes, 0])
-
-
-def _centred(both: _Layer, delta: Interval) -> _Layer:
-    """Boxes, first, sharpened about their middles, which follow."""
-    boxes = delta.shape[0]
-    return both[:boxes].centred(both[boxes:], delta).above(both[boxes:])
+        wide, mid = (v.apply(activate).affine(V, c) for v in (wide.centred(mid, delta), mid))
+    layer = wide.centred(mid, delta)
+    return Jet(layer.value[:, 0], layer.grad[:, 0], layer.hess[:, 0])
 
 
 def _linear(value: Interval, W: Interval) -> Jet:
@@ -160,22 +152,17 @@ def _linear(value: Interval, W: Interval) -> Jet:
     return Jet(value[:, 0], grad[:, 0], point(np.zeros((boxes, d, d))))
 
 
-def _second_layer(
-    W: Interval, slopes: tuple[Interval, Interval, Interval, Interval], V: Interval, c: Interval
-) -> _Layer:
+def _second_layer(W: Interval, slopes: tuple[Interval, ...], V: Interval, c: Interval) -> _Layer:
     """V σ(W v + b) + c: the k-th derivative of a neuron is σ⁽ᵏ⁾ times k entries of its row of W."""
     h, d = W.shape
-    square = W[:, :, None] * W[:, None, :]
-    cube = square[:, :, :, None] * W[:, None, None, :]
-    tensors = [T.reshape(h, -1) for T in (W, square, cube)]
-    parts = [_spread(V, f, T) for f, T in zip(slopes[1:], tensors, strict=True)]
     rows, boxes = V.shape[0], slopes[0].shape[0]
-    return _Layer(
-        matmul(V, slopes[0][..., None])[..., 0] + c,
-        parts[0],
-        parts[1].reshape(boxes, rows, d, d),
-        parts[2].reshape(boxes, rows, d, d, d),
-    )
+    square = W[:, :, None] * W[:, None, :]
+    powers, parts = [W, square, square[:, :, :, None] * W[:, None, None, :]], []
+    for order, (f, T) in enumerate(zip(slopes[1:], powers, strict=False), 1):
+        part = _spread(V, f, T.reshape(h, -1))
+        parts.append(part.reshape(boxes, rows, *[d] * order))
+    value = matmul(V, slopes[0][..., None])[..., 0] + c
+    return _Layer(value, parts[0], parts[1], parts[2] if len(parts) > 2 else None)
 
 
 def _spread(V: Interval, f: Interval, T: Interval) -> Interval:
