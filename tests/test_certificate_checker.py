@@ -3,11 +3,20 @@
 import copy
 import json
 
+import flint
 import numpy as np
 import pytest
-from certificate_designs import make_design, mechanical, quadratic_pendulum, trained_like_pendulum
+from certificate_designs import (
+    EXAMPLES,
+    make_design,
+    mechanical,
+    quadratic_pendulum,
+    trained_like_pendulum,
+)
 
-from necc_casadi.certificate import certify
+from necc_casadi import Options, find_casimirs, judge, load_model
+from necc_casadi import design as synthesised
+from necc_casadi.certificate import certify, statements
 from necc_casadi.certificate.ball_energy import Energy
 from necc_casadi.certificate.check_model import Model
 from necc_casadi.certificate.checker import check
@@ -15,6 +24,7 @@ from necc_casadi.cli import _certify
 from necc_casadi.errors import OutputError
 from necc_casadi.lyapunov import Form
 from necc_casadi.networks import MonotonePhi, Network
+from necc_casadi.target import target_from_model
 from necc_casadi.terminal import run
 
 
@@ -52,9 +62,22 @@ def verdicts(folder) -> dict[str, bool]:
 def altered(folder, tmp_path, change) -> dict[str, bool]:
     data = json.loads((folder / "certificate.json").read_text(encoding="utf-8"))
     change(data)
+    reword(data)
     (tmp_path / "certificate.json").write_text(json.dumps(data), encoding="utf-8")
     (tmp_path / "design.json").write_bytes((folder / "design.json").read_bytes())
     return verdicts(tmp_path)
+
+
+def reword(data):
+    """Let the statements say what the altered numbers say: only a proof can tell them apart."""
+    numbers = (data["radius"], data["mu"], data["bound_rigorous"])
+    claim(data, "equilibrium")["statement"] = statements.equilibrium(*numbers)
+    attraction = claim(data, "attraction")
+    attraction["statement"] = statements.attraction(attraction["data"]["rate"])
+    region = claim(data, "region")
+    follows = region["statement"].rpartition(")")[2]
+    size = (data["level"], data["domain_share"], data["limited_by"])
+    region["statement"] = statements.region(*size, follows)
 
 
 def test_everything_that_was_made_is_proved_again(pendulum):
@@ -202,8 +225,9 @@ def test_a_global_claim_is_proved_again_or_rejected(pendulum, tmp_path):
 def test_a_lowered_level_may_still_be_true(pendulum, tmp_path):
     def lower(data):
         data["level"] = data["region"]["level"] = data["region"]["level"] - 1e-3
-        data["domain_share"] = claim(data, "region")["data"]["domain_share"] = 0.01
-        claim(data, "region")["data"] = {"domain_share": 0.01}
+        limit = claim(data, "region")["data"]["limit"]
+        claim(data, "region")["data"] = {"domain_share": 0.01, "limit": limit}
+        data["domain_share"] = 0.01
 
     assert all(altered(pendulum, tmp_path, lower).values())
 
@@ -239,8 +263,13 @@ def smaller_above(data):
 
 def longer_reach(data):
     reach = claim(data, "region")["data"]
-    reach.update({key: 1.3 * value for key, value in reach.items()})
-    data["domain_share"] = reach["domain_share"]
+    reach.update({key: 1.3 * reach[key] for key in reach if key.startswith("reach_")})
+
+
+def larger_share(data):
+    data["domain_share"] = claim(data, "region")["data"]["domain_share"] = (
+        1.3 * data["domain_share"]
+    )
 
 
 def flatter_factor(data):
@@ -249,7 +278,7 @@ def flatter_factor(data):
 
 CORE_CHANGES = [
     more_curvature, larger_ellipsoid, moved_center, raised_core_level, smaller_above,
-    longer_reach, flatter_factor,
+    longer_reach, larger_share, flatter_factor,
 ]  # fmt: skip
 
 
@@ -316,3 +345,35 @@ def test_second_evaluator_encloses_the_exported_V(form, radius):
                 mid = np.array([[float(v.mid()) for v in row] for row in L.tolist()])
                 slack = sum(float(v.rad()) for v in L.entries())
                 assert np.linalg.eigvalsh(sign * (H - mid))[0] >= -slack - 1e-10
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_the_gradient_at_a_point_has_as_many_digits_as_are_asked_for(form):
+    """Digits beyond doubles, and those of doubles as the exported V has them."""
+    rng = np.random.default_rng(5)
+    design = make_design(
+        trained_like_pendulum().loop.plant, ("pi/4", 0), form, form.initial(rng), [0.5]
+    )
+    model = Model(json.loads(design.text))
+    exact = np.asarray(design.lyapunov.gradient(design.z_star), float).ravel()
+    with flint.ctx.workprec(128):
+        gradient = Energy(model, range(3)).gradient_at(model.target_balls())
+    for g, e in zip(gradient, exact, strict=True):
+        assert float(g.rad()) < 1e-32
+        assert float(abs(g - e)) < 1e-13
+
+
+def test_a_stiff_design_in_six_states_is_proved_again(tmp_path):
+    """Where V is stiff, ∇V(z*) over a box of doubles exceeds the bound that the maker claims."""
+    model = load_model(EXAMPLES / "two_link_arm.py")
+    target = target_from_model(model.loop.plant, model.target)
+    casimirs = find_casimirs(model.loop, model.casimirs, target)
+    verdict = judge(model.loop, casimirs, target)
+    made = synthesised(model.loop, casimirs, verdict, target, Options(convex=True))
+    made.save(tmp_path / "design.json")
+    certificate = certify(made, region=False)
+    assert certificate.certified
+    (tmp_path / "certificate.json").write_text(certificate.to_json(), encoding="utf-8")
+    result = verdicts(tmp_path)
+    assert all(result.values())
+    assert result["attraction"]

@@ -12,6 +12,7 @@ from scipy.optimize import minimize
 from necc_casadi.artifact import Design
 from necc_casadi.certificate import certify
 from necc_casadi.certificate.check_evidence import Evidence
+from necc_casadi.certificate.check_fields import Fields
 from necc_casadi.certificate.check_model import Model
 from necc_casadi.certificate.check_region import check_input_limits
 from necc_casadi.certificate.checker import check
@@ -178,8 +179,7 @@ def rechecked(folder, change) -> bool:
     data = json.loads((folder / "certificate.json").read_text(encoding="utf-8"))
     change(data)
     model = Model(json.loads((folder / "design.json").read_text(encoding="utf-8")))
-    claimed = {claim["name"]: claim for claim in data["claims"]}
-    return check_input_limits(Evidence(model, data, claimed), True).holds
+    return check_input_limits(Evidence(model, Fields(data)), True).holds
 
 
 def test_the_level_is_proved_again_and_a_raised_one_rejected(folder):

@@ -92,6 +92,31 @@ class Energy:
         slopes = self.phi((ends(e), ends(C)))[1]
         return arb(slopes[0] * energy + slopes[1] * casimir)
 
+    def gradient_at(self, point: Sequence[arb]) -> list[arb]:
+        """∇V at a point of balls, to the precision that is set; none is rounded to doubles."""
+        values = dict(zip(self.variables, point, strict=True))
+        tables = [
+            (evaluate(f.expr, values), [evaluate(g.expr, values) for g in grad])
+            for f, grad, _ in self._tables
+        ]
+        (energy, slope), inner = tables[0], tables[1:]
+        hc, dhc = self.hc.at(list(point[-self.model.nc :]))
+        for i, g in enumerate(dhc):
+            slope[self.d - self.model.nc + i] += g
+        if self.betas:
+            parts = [beta.at([c]) for beta, (c, _) in zip(self.betas, inner, strict=True)]
+            pairs = [(b, dc) for (_, (b,)), (_, dc) in zip(parts, inner, strict=True)]
+            inner = [(sum((v for v, _ in parts), arb(0)), self._combined(pairs))]
+        C, outer = self.k.at([c for c, _ in inner])
+        casimir = self._combined([(w, dc) for w, (_, dc) in zip(outer, inner, strict=True)])
+        if self.phi is None:
+            return self._combined([(arb(1), slope), (arb(1), casimir)])
+        _, (phi_e, phi_c) = self.phi.at([energy + hc, C])
+        return self._combined([(phi_e, slope), (phi_c, casimir)])
+
+    def _combined(self, parts: Sequence[tuple[arb, list[arb]]]) -> list[arb]:
+        return [sum((w * v[i] for w, v in parts), arb(0)) for i in range(self.d)]
+
     def _first(self, box: Box) -> tuple[arb, list[arb]]:
         e, de, C, dC = self._energy_and_casimir(box)
         if self.phi is None:

@@ -38,6 +38,10 @@ _ACTIVATIONS = {"tanh": _tanh, "sin": _sin, "squareplus": _squareplus}
 Activation = Callable[[arb], tuple[arb, arb, arb, arb]]
 
 
+#: f, ∇f, and ∇²f over pairs i ≤ j.
+Derivatives = tuple[arb, list[arb], dict[tuple[int, int], arb]]
+
+
 class Net:
     """A network ℝᵈ → ℝ: value, gradient, Hessian and third derivative over a box."""
 
@@ -51,7 +55,7 @@ class Net:
         self.linear: list[arb] | None = None
         rows = layers[0][0].tolist()
         self.steepest = [max(float(abs(row[i]).upper()) for row in rows) for i in range(inputs)]
-        self._known: dict[Box, tuple[arb, list[arb], dict[tuple[int, int], arb]]] = {}
+        self._known: dict[Box, Derivatives] = {}
 
     @classmethod
     def from_weights(cls, shape: Mapping[str, Any], weights: Sequence[float]) -> tuple[Net, int]:
@@ -103,7 +107,7 @@ class Net:
                     total[i, k] = total[i, k] - weight * W[j, i] * W[j, k]
         return total
 
-    def __call__(self, box: Box) -> tuple[arb, list[arb], dict[tuple[int, int], arb]]:
+    def __call__(self, box: Box) -> Derivatives:
         """(f, ∇f, ∇²f over pairs i ≤ j) over a box, by mean-value forms about its middle."""
         if box not in self._known:
             pieces = [self._enclose(piece) for piece in self._pieces(box)]
@@ -120,9 +124,14 @@ class Net:
             sides.append(list(pairwise(ends)))
         return list(product(*sides))
 
-    def _enclose(self, box: Box) -> tuple[arb, list[arb], dict[tuple[int, int], arb]]:
-        wide = [ball(lo, hi) for lo, hi in box]
-        at = [arb(lo / 2 + hi / 2) for lo, hi in box]
+    def at(self, point: list[arb]) -> tuple[arb, list[arb]]:
+        """(f, ∇f) at a point of balls, to the precision that is set."""
+        return self._around(point, point)[:2]
+
+    def _enclose(self, box: Box) -> Derivatives:
+        return self._around([ball(*side) for side in box], [arb(a / 2 + b / 2) for a, b in box])
+
+    def _around(self, wide: list[arb], at: list[arb]) -> Derivatives:
         step = [w - a for w, a in zip(wide, at, strict=True)]
         value, grad, hess = self._pass(wide, at, step)
         if self.quadratic is not None:
@@ -135,9 +144,7 @@ class Net:
                 value, grad[i] = value + slope * wide[i], grad[i] + slope
         return value, grad, hess
 
-    def _pass(
-        self, wide: list[arb], at: list[arb], step: list[arb]
-    ) -> tuple[arb, list[arb], dict[tuple[int, int], arb]]:
+    def _pass(self, wide: list[arb], at: list[arb], step: list[arb]) -> Derivatives:
         over, mid = self._start(wide), self._start(at)
         for depth, (W, b) in enumerate(self.layers):
             if depth:
@@ -197,7 +204,7 @@ class Net:
         return [*result, over[3]]
 
 
-def _union(a: Any, b: Any) -> tuple[arb, list[arb], dict[tuple[int, int], arb]]:
+def _union(a: Derivatives, b: Derivatives) -> Derivatives:
     """The hull of two enclosures of (f, ∇f, ∇²f)."""
     grad = [u.union(v) for u, v in zip(a[1], b[1], strict=True)]
     return a[0].union(b[0]), grad, {key: a[2][key].union(b[2][key]) for key in a[2]}

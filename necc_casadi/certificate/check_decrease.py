@@ -6,6 +6,7 @@ import math
 
 import sympy as sp
 
+import necc_casadi.certificate.statements as statements
 from necc_casadi import exact as ex
 from necc_casadi.certificate.ball_matrices import exactly_positive
 from necc_casadi.certificate.check_evidence import Checked, Evidence
@@ -15,11 +16,11 @@ __all__ = ["check_casimir", "check_damping", "check_slope", "check_structure"]
 
 
 def check_casimir(model: Model) -> Checked:
-    """∇CᵀM = 0 for every closed form."""
+    """∇CᵀM = 0 for every closed form (eq. CasimirCondition)."""
     M = model.Jcl - model.Rcl
     rows = [sp.Matrix([[sp.diff(c, v) for v in model.z]]) * M for c in model.casimirs]
     holds = all(ex.is_zero(entry) is True for row in rows for entry in row)
-    return Checked("casimir", holds, "∇Cᵀ(Jcl − Rcl) = 0 exactly")
+    return Checked("casimir", holds, statements.casimir(model.casimir_texts))
 
 
 def check_structure(m: Model) -> Checked:
@@ -27,18 +28,19 @@ def check_structure(m: Model) -> Checked:
     skew = all(ex.is_zero(e) is True for A in (m.J, m.Jc) for e in A + A.T)
     symmetric = all(ex.is_zero(e) is True for A in (m.R, m.Rc) for e in A - A.T)
     dissipative = all(ex.is_positive_semidefinite(A) is True for A in (m.R, m.Rc))
-    return Checked("structure", skew and symmetric and dissipative, "J, Jc skew; R, Rc ⪰ 0")
+    return Checked("structure", skew and symmetric and dissipative, statements.STRUCTURE)
 
 
 def check_slope(evidence: Evidence) -> Checked:
     """Φ₁ > 0: the sum has 1, the neural form δ."""
-    least = evidence.model.delta
-    claimed = float(evidence.claimed["slope"]["data"]["slope"])
-    finite = all(math.isfinite(w) for w in evidence.model.weights)
-    return Checked("slope", finite and 0 < claimed <= least, f"Φ₁ ≥ {least:g}")
+    model = evidence.model
+    claimed = float(evidence.claims["slope"]["data"]["slope"])
+    holds = all(math.isfinite(w) for w in model.weights) and 0 < claimed <= model.delta
+    neural = model.form["phi"] is not None
+    return Checked("slope", holds, statements.slope(claimed if neural else None))
 
 
 def check_damping(model: Model) -> Checked:
     """D, Dc ≻ 0 by elimination over the rationals."""
     holds = all(exactly_positive(A) for A in (model.D, model.Dc))
-    return Checked("damping", holds, "D ≻ 0, Dc ≻ 0")
+    return Checked("damping", holds, statements.DAMPING)

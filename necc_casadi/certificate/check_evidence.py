@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 from flint import arb
 
 from necc_casadi.certificate.ball_energy import Energy
 from necc_casadi.certificate.balls import Box, ball, ends
+from necc_casadi.certificate.check_fields import Fields
 from necc_casadi.certificate.check_model import Model
 
 __all__ = ["Checked", "Evidence"]
@@ -21,18 +21,22 @@ class Checked:
 
     name: str
     holds: bool
-    statement: str
+    statement: str  # worded by what the checker proved, or would have to
 
 
 class Evidence:
     """A design and the numbers of its certificate, which are hints until they are proved again."""
 
-    def __init__(
-        self, model: Model, certificate: Mapping[str, Any], claimed: Mapping[str, Any]
-    ) -> None:
-        self.model, self.certificate, self.claimed = model, certificate, claimed
+    def __init__(self, model: Model, certificate: Fields) -> None:
+        self.model, self.certificate = model, certificate
+        self.listed = [Fields(claim, f"{claim['name']}: ") for claim in certificate["claims"]]
+        self.claims = {str(claim["name"]): claim for claim in self.listed}
         self.full = Energy(model, range(len(model.z)))
         self._reduced: dict[tuple[int, ...], Energy] = {}
+
+    def claimed(self, name: str) -> bool:
+        """Whether a claim is listed and held."""
+        return name in self.claims and self.claims[name]["holds"] is True
 
     def reduced(self, active: Sequence[int]) -> Energy:
         """V in some of the states, the others at rest; one object, which keeps its results."""

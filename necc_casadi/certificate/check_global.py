@@ -5,6 +5,7 @@ from __future__ import annotations
 import sympy as sp
 from flint import arb_mat
 
+import necc_casadi.certificate.statements as statements
 from necc_casadi import exact as ex
 from necc_casadi.certificate.ball_matrices import positive
 from necc_casadi.certificate.balls import Box, ball, evaluate, everywhere
@@ -19,12 +20,13 @@ _DEPTH = 14
 
 def check_global(evidence: Evidence, sound: bool) -> Checked:
     """∇²V ⪰ μI and ∂²H/∂s² ⪰ μI for all states, by periodicity and bounds of the networks."""
-    text = "z̄ is globally asymptotically stable"
+    text = statements.GLOBAL
     model, form = evidence.model, evidence.model.form
     constant = not (model.Jcl - model.Rcl).free_symbols and not model.ports.free_symbols
+    sound = sound and evidence.claimed("global")
     if not (sound and constant and form["phi"] is None and not form["betas"]):
         return Checked("global", False, text)
-    named = evidence.claimed.get("global", {}).get("data", {}).get("resting", ())
+    named = evidence.claims["global"]["data"]["resting"]
     resting = [i for i in range(len(model.z)) if i in named]
     active = [i for i in range(len(model.z)) if i not in resting]
     y, s = ([model.z[i] for i in chosen] for chosen in (active, resting))

@@ -27,7 +27,8 @@ class Model:
         self.J, self.R, self.G = (self._matrix(model[key]) for key in "JRG")
         self.Jc, self.Rc, self.Gc = (self._matrix(model[key]) for key in ("Jc", "Rc", "Gc"))
         self.m = self.G.cols
-        self.casimirs = [self._read(text) for text in data["casimirs"]["functions"]]
+        self.casimir_texts: list[str] = data["casimirs"]["functions"]
+        self.casimirs = [self._read(text) for text in self.casimir_texts]
         self.target = [self._read(text) for text in data["target"]]
         self.xi_star = [float.fromhex(v) for v in data["xi_star"]]
         self.D, self.Dc = (

@@ -13,7 +13,7 @@ from necc_casadi.certificate.ball_matrices import middle_of, positive
 from necc_casadi.certificate.balls import Box, ball, ends, evaluate, everywhere
 from necc_casadi.certificate.check_model import Model
 
-__all__ = ["at_rest", "invariant_points", "momenta_inside"]
+__all__ = ["at_rest", "invariant_points", "momentum_inside"]
 
 #: How often a box may be halved before a test on it counts as failed.
 _DEPTH = 14
@@ -31,31 +31,27 @@ def at_rest(model: Model, resting: Sequence[int]) -> bool:
     return flat and ex.is_zero(model.H - model.H.subs(zero) - kinetic) is True
 
 
-def momenta_inside(
-    model: Model, resting: Sequence[int], active: Sequence[int], level: float, bottom: arb
+def momentum_inside(
+    model: Model, i: int, resting: Sequence[int], active: Sequence[int], level: float, bottom: arb
 ) -> bool:
-    """½ δ sᵀA(y)s > c − V(z̄) wherever a resting state leaves the domain, and A ≻ 0."""
+    """½ δ sᵀA(y)s > c − V(z̄) wherever the resting state i leaves the domain, and A ≻ 0."""
     bounds = model.bounds()
-    symbols = [model.z[i] for i in resting]
-    A = sp.hessian(model.H, symbols) if symbols else sp.zeros(0)
-    cube = tuple((ends(bounds[i][0])[0], ends(bounds[i][1])[1]) for i in active)
-    variables = [model.z[i] for i in active]
-    for k, i in enumerate(resting):
-        lo, hi = bounds[i]
-        reach = (-lo).min(hi)
-        if not reach > 0:
-            return False
-        needed = 2 * (level - bottom) / (model.delta * reach * reach)
+    lo, hi = bounds[i]
+    reach = (-lo).min(hi)
+    if not reach > 0:
+        return False
+    needed, k = 2 * (level - bottom) / (model.delta * reach * reach), resting.index(i)
+    A = sp.hessian(model.H, [model.z[j] for j in resting])
+    cube = tuple((ends(bounds[j][0])[0], ends(bounds[j][1])[1]) for j in active)
+    variables = [model.z[j] for j in active]
 
-        def stiff(box: Box, k: int = k, needed: arb = needed) -> bool:
-            values = {v: ball(*b) for v, b in zip(variables, box, strict=True)}
-            matrix = arb_mat([[evaluate(e, values) for e in row] for row in A.tolist()])
-            matrix[k, k] = matrix[k, k] - needed
-            return positive(matrix, 0)
+    def stiff(box: Box) -> bool:
+        values = {v: ball(*b) for v, b in zip(variables, box, strict=True)}
+        matrix = arb_mat([[evaluate(e, values) for e in row] for row in A.tolist()])
+        matrix[k, k] = matrix[k, k] - needed
+        return positive(matrix, 0)
 
-        if not everywhere(cube, stiff, _DEPTH, [A.has(v) for v in variables]):
-            return False
-    return True
+    return everywhere(cube, stiff, _DEPTH, [A.has(v) for v in variables])
 
 
 def invariant_points(model: Model, resting: Sequence[int], box: Box | None) -> bool:

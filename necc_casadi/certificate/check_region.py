@@ -4,14 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from flint import arb
+
+import necc_casadi.certificate.statements as statements
 from necc_casadi.certificate.balls import Box, ball, ends
 from necc_casadi.certificate.check_chart import ChartProof
 from necc_casadi.certificate.check_core import CoreProof
 from necc_casadi.certificate.check_evidence import Checked, Evidence
+from necc_casadi.certificate.check_fields import Fields
 from necc_casadi.certificate.check_grid import GridProof
 from necc_casadi.certificate.check_inputs import InputProof
 from necc_casadi.certificate.check_model import Model
-from necc_casadi.certificate.check_motion import at_rest, invariant_points, momenta_inside
+from necc_casadi.certificate.check_motion import at_rest, invariant_points, momentum_inside
+from necc_casadi.certificate.statements import Limit
 
 __all__ = ["check_input_limits", "check_region"]
 
@@ -20,42 +25,85 @@ _PROOFS: dict[str, type[GridProof] | type[CoreProof] | type[ChartProof]] = {
     "core": CoreProof,
     "chart": ChartProof,
 }
+#: What limits a region is confirmed by looking this much higher above V(z̄) than c.
+_HIGHER = 1.1
+#: The same for momenta, which the maker bounds by their least stiffness, less sharply.
+_MUCH_HIGHER = 6.0
 
 
-def check_region(evidence: Evidence, sound: bool, stability: str | None) -> Checked:
+def check_region(evidence: Evidence, sound: bool) -> Checked:
     """The component of {V ≤ c} around z̄ lies in the domain, and only z̄ is critical in it."""
-    region = evidence.certificate["region"]
-    if region is None or not sound:
+    region, model = evidence.certificate["region"], evidence.model
+    if region is None or not sound or not evidence.claimed("region"):
         return Checked("region", False, "no region is proved")
     level, active = float(region["level"]), [int(i) for i in region["active"]]
-    resting = [i for i in range(len(evidence.model.z)) if i not in active]
-    text = f"the component of {{V ≤ {level:.6g}}} around z̄ is invariant and in the domain"
-    energy = evidence.reduced(active)
-    z_bar = evidence.z_bar(active)
+    resting = [i for i in range(len(model.z)) if i not in active]
+    data, share = evidence.claims["region"]["data"], evidence.certificate["domain_share"]
+    energy, z_bar = evidence.reduced(active), evidence.z_bar(active)
     bottom = energy.value(z_bar)
+    limit = Limit.read(data["limit"])
     holds = level == evidence.certificate["level"] and bool(bottom < level)
-    holds = (
-        holds
-        and at_rest(evidence.model, resting)
-        and momenta_inside(evidence.model, resting, active, level, bottom)
+    holds = holds and at_rest(model, resting)
+    holds = holds and all(
+        momentum_inside(model, i, resting, active, level, bottom) for i in resting
     )
     proof = _PROOFS[region["method"]](evidence, energy, region, z_bar)
-    holds = holds and proof.holds(
-        evidence.claimed["region"]["data"], evidence.certificate["domain_share"]
-    )
-    converges = (
-        holds
-        and stability == "asymptotic"
-        and invariant_points(evidence.model, resting, _surroundings(evidence.model, active, proof))
-    )
-    said = "converges" in evidence.claimed["region"]["statement"]
-    if said and not converges:
-        return Checked("region", False, "convergence from all of the region is not re-proved")
-    if converges:
-        text += "; every solution from it converges to z̄"
-    elif stability == "asymptotic":
-        text += "; z̄ is locally asymptotically stable"
-    return Checked("region", holds, text)
+    holds = holds and _only_sizes(evidence, region, data) and proof.holds(data, share)
+    if not (holds and _stops(evidence, proof, limit, bottom)):
+        text = f"a component of {{V ≤ {level:.6g}}} around z̄ in the domain, as it is described"
+        return Checked("region", False, text)
+    place: Sequence[float] = ()
+    if isinstance(proof, GridProof) and limit.kind != "momentum":
+        place = limit.place(proof.first, proof.step)
+    reason = statements.limited_by(limit, region["method"], model.states, active, place)
+    texts = [
+        statements.region(level, float(share), reason, follows)
+        for follows in _consequences(evidence, resting, _surroundings(model, active, proof))
+    ]
+    said = evidence.claims["region"]["statement"]
+    holds = evidence.certificate["limited_by"] == reason
+    return Checked("region", holds, said if said in texts else texts[0])
+
+
+def _only_sizes(evidence: Evidence, region: Fields, data: Fields) -> bool:
+    """Whether no size of the region is claimed but those that its proof looks at."""
+    reach = {f"reach_{evidence.model.states[int(i)]}" for i in region["active"]}
+    sizes = set() if region["method"] == "chart" else {"volume", "slice_share", "plant_share"}
+    return set(data) <= {"domain_share", "limit"} | reach | sizes
+
+
+def _consequences(evidence: Evidence, resting: Sequence[int], box: Box) -> list[str]:
+    """What follows for solutions from the region, which is in the box, the most first."""
+    if evidence.certificate["stability"] != "asymptotic":
+        return [statements.STABLE]
+    if invariant_points(evidence.model, resting, box):
+        return [statements.CONVERGES, statements.INVARIANT]
+    return [statements.INVARIANT]
+
+
+def _stops(
+    evidence: Evidence, proof: GridProof | CoreProof | ChartProof, limit: Limit, bottom: arb
+) -> bool:
+    """Whether nothing speaks against what is said to limit the region, a little above c."""
+    energy, model = proof.energy, evidence.model
+    if limit.kind == "curvature":
+        return not isinstance(proof, GridProof) and not limit.at
+    if limit.kind == "momentum":
+        level = _raised(proof.level, bottom, _MUCH_HIGHER)
+        resting = [i for i in range(model.n) if i not in energy.active]
+        return all(i in resting for i in limit.at) and not all(
+            momentum_inside(model, i, resting, energy.active, level, bottom) for i in limit.at
+        )
+    if not isinstance(proof, GridProof) or limit.kind not in ("border", "cells", "critical"):
+        return False
+    level = _raised(proof.level, bottom, _HIGHER)
+    at_border = limit.kind == "critical" or proof.at_border(limit.at) == (limit.kind == "border")
+    return at_border and proof.touches(limit.at, level, border=limit.kind != "critical")
+
+
+def _raised(level: float, bottom: arb, factor: float) -> float:
+    base = float(bottom.mid())
+    return base + factor * (level - base)
 
 
 def _surroundings(
@@ -76,7 +124,8 @@ def _surroundings(
 def check_input_limits(evidence: Evidence, sound: bool) -> Checked:
     """U stays within the model's limits wherever V ≤ c_u on the cells of the region."""
     level, region = evidence.certificate["level_u"], evidence.certificate["region"]
-    if level is None or evidence.model.u_limits is None or not sound:
+    limits = evidence.model.u_limits
+    if level is None or limits is None or region is None or not sound:
         return Checked("input_limits", False, "no input limits are proved to be kept")
     active = [int(i) for i in region["active"]]
     energy, z_bar = evidence.reduced(active), evidence.z_bar(active)
@@ -86,5 +135,5 @@ def check_input_limits(evidence: Evidence, sound: bool) -> Checked:
     inputs = InputProof(evidence.model, energy, float(level))
     holds = bool(energy.value(z_bar) < float(level)) and float(level) <= float(region["level"])
     holds = holds and inputs.covered() and all(inputs.kept(box) for box in proof.boxes())
-    text = f"u stays within its limits on {{V ≤ {float(level):.6g}}} around z̄"
+    text = statements.input_limits(limits, float(level), float(region["level"]))
     return Checked("input_limits", holds, text)

@@ -12,6 +12,8 @@ import json
 import zlib
 from pathlib import Path
 
+import necc_casadi.certificate.statements as statements
+from necc_casadi.certificate.check_contents import check_contents
 from necc_casadi.certificate.check_decrease import (
     check_casimir,
     check_damping,
@@ -19,8 +21,13 @@ from necc_casadi.certificate.check_decrease import (
     check_structure,
 )
 from necc_casadi.certificate.check_evidence import Checked, Evidence
+from necc_casadi.certificate.check_fields import read_fields
 from necc_casadi.certificate.check_global import check_global
-from necc_casadi.certificate.check_local import check_attraction, check_equilibrium
+from necc_casadi.certificate.check_local import (
+    check_attraction,
+    check_equilibrium,
+    check_only_stable,
+)
 from necc_casadi.certificate.check_model import Model
 from necc_casadi.certificate.check_region import check_input_limits, check_region
 from necc_casadi.errors import OutputError
@@ -41,11 +48,11 @@ def check(folder: Path) -> tuple[Checked, ...]:
     )
     remedy = "Run necc-design again."
     try:
-        certificate = json.loads(certificate_text)
-        model = Model(json.loads(design_text))
-        claimed = {claim["name"]: claim for claim in certificate["claims"]}
+        certificate = read_fields(certificate_text)
+        evidence = Evidence(Model(json.loads(design_text)), certificate)
         same = certificate["design_hash"] == hashlib.sha256(design_text.encode()).hexdigest()
-        results = _everything(Evidence(model, certificate, claimed))
+        results = [_as_worded(evidence, result) for result in _everything(evidence)]
+        contents = check_contents(evidence, results)
     except (
         KeyError, TypeError, ValueError, AttributeError, IndexError, ZeroDivisionError,
         binascii.Error, zlib.error,
@@ -54,7 +61,7 @@ def check(folder: Path) -> tuple[Checked, ...]:
             "output", f"{folder} holds no readable certificate: {problem!r}", remedy
         ) from None
     text = "the certificate is about this design.json" if same else "design.json has changed"
-    return Checked("design", same, text), *results
+    return Checked("design", same, text), *results, contents
 
 
 def _read(path: Path) -> str:
@@ -66,33 +73,35 @@ def _read(path: Path) -> str:
         ) from None
 
 
+def _as_worded(evidence: Evidence, result: Checked) -> Checked:
+    """The result, if the certificate says of it what was proved, word for word."""
+    claim = evidence.claims.get(result.name)
+    if claim is None or not result.holds:
+        return result
+    if claim["holds"] is True and claim["statement"] == result.statement:
+        return result
+    return Checked(result.name, False, f"claimed in other words than proved: {result.statement}")
+
+
 def _everything(evidence: Evidence) -> list[Checked]:
-    model = evidence.model
-    results = [
-        check_equilibrium(evidence),
+    model, certificate = evidence.model, evidence.certificate
+    conditions = [
         check_casimir(model),
         check_structure(model),
         check_slope(evidence),
         check_damping(model),
     ]
-    basis = all(r.holds for r in results[1:])
-    results.append(Checked("decrease", basis, "V never increases along the loop"))
-    sound = all(r.holds for r in results)
-    stability = evidence.certificate["stability"]
-    if stability == "asymptotic":
-        results.append(check_attraction(evidence, sound))
-    else:
-        holds = sound and stability == "stable"
-        results.append(Checked("stability", holds, "z̄ is stable"))
+    decrease = Checked("decrease", all(r.holds for r in conditions), statements.DECREASE)
+    results = [check_equilibrium(evidence), *conditions, decrease]
+    sound, stability = all(r.holds for r in results), certificate["stability"]
+    settle = check_attraction if stability == "asymptotic" else check_only_stable
+    results.append(settle(evidence, sound))
     settled = results[-1].holds
-    if "region" in evidence.claimed or evidence.certificate["region"] is not None:
-        results.append(check_region(evidence, settled, stability))
-    limits = evidence.claimed.get("input_limits", {"holds": False})["holds"]
-    if limits or evidence.certificate["level_u"] is not None:
-        results.append(
-            check_input_limits(evidence, results[-1].name == "region" and results[-1].holds)
-        )
-    claimed = evidence.claimed.get("global", {"holds": False})["holds"]
-    if claimed or evidence.certificate["is_global"]:
+    if "region" in evidence.claims or certificate["region"] is not None:
+        results.append(check_region(evidence, settled))
+    if evidence.claimed("input_limits") or certificate["level_u"] is not None:
+        within = results[-1].name == "region" and results[-1].holds
+        results.append(check_input_limits(evidence, within))
+    if evidence.claimed("global") or certificate["is_global"]:
         results.append(check_global(evidence, settled and stability == "asymptotic"))
     return results

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 import sympy as sp
 
+import necc_casadi.certificate.statements as statements
 from necc_casadi import exact as ex
 from necc_casadi.artifact import Design
 from necc_casadi.certificate.claim import Claim
@@ -18,6 +19,7 @@ from necc_casadi.certificate.definite import exactly_positive_definite, positive
 from necc_casadi.certificate.enclosures import Potential, matrix_enclosure
 from necc_casadi.certificate.equilibrium import Equilibrium
 from necc_casadi.certificate.intervals import Interval, matmul, point
+from necc_casadi.expressions import identifiers, to_text
 from necc_casadi.networks import Vector
 from necc_casadi.plant import gradient
 
@@ -33,13 +35,8 @@ def prove_decrease(design: Design) -> tuple[Claim, ...]:
     """The four conditions of V̇ ≤ 0, then V̇ ≤ 0 itself."""
     conditions = (_casimir(design), _structure(design), _slope(design), _damping(design))
     missing = [claim.name for claim in conditions if not claim.holds]
-    statement = (
-        "V never increases along the continuous-time, unsaturated loop, wherever the model is "
-        "defined and for every D, Dc ≻ 0"
-        if not missing
-        else f"V is not proved to decrease, for want of: {', '.join(missing)}"
-    )
-    return *conditions, Claim("decrease", not missing, statement)
+    for_want = f"V is not proved to decrease, for want of: {', '.join(missing)}"
+    return *conditions, Claim("decrease", not missing, for_want if missing else statements.DECREASE)
 
 
 def _casimir(design: Design) -> Claim:
@@ -50,10 +47,17 @@ def _casimir(design: Design) -> Claim:
         for c in design.casimirs.functions
         if not all(ex.is_zero(entry) for entry in loop.M.T * gradient(c, loop.z))
     ]
-    listed = ", ".join(map(str, design.casimirs.functions))
     if left:
         return Claim("casimir", False, f"∇Cᵀ(Jcl − Rcl) = 0 is not proved for {left[0]}")
-    return Claim("casimir", True, f"∇Cᵀ(Jcl − Rcl) = 0 holds exactly for C built from {listed}")
+    return Claim("casimir", True, statements.casimir(_casimir_texts(design)))
+
+
+def _casimir_texts(design: Design) -> list[str]:
+    """The closed forms as design.json writes them."""
+    loop = design.loop
+    names = [sp.Symbol(name, real=True) for name in identifiers(loop.states)]
+    rename = dict(zip(loop.z, names, strict=True))
+    return [to_text(sp.sympify(c).xreplace(rename)) for c in design.casimirs.functions]
 
 
 def _structure(design: Design) -> Claim:
@@ -67,7 +71,7 @@ def _structure(design: Design) -> Claim:
     missing = [name for name, holds in proved.items() if not holds]
     if missing:
         return Claim("structure", False, f"held at sampled points only: {', '.join(missing)}")
-    return Claim("structure", True, f"{', '.join(proved)} hold exactly for all states")
+    return Claim("structure", True, statements.STRUCTURE)
 
 
 def _is_skew(J: sp.Matrix) -> bool:
@@ -82,17 +86,17 @@ def _is_dissipative(R: sp.Matrix) -> bool:
 def _slope(design: Design) -> Claim:
     phi = design.form.phi
     if phi is None:
-        return Claim("slope", True, "Φ = H + Hc + C, so Φ₁ = 1", {"slope": 1.0})
+        return Claim("slope", True, statements.slope(None), {"slope": 1.0})
     holds = phi.delta > 0 and bool(np.isfinite(design.weights).all())
-    text = f"Φ₁ ≥ {phi.delta:g} everywhere, by construction of the neural Φ"
-    return Claim("slope", holds, text, {"slope": float(phi.delta)})
+    delta = float(phi.delta)
+    return Claim("slope", holds, statements.slope(delta), {"slope": delta})
 
 
 def _damping(design: Design) -> Claim:
     wrong = [name for name in ("D", "Dc") if not exactly_positive_definite(getattr(design, name))]
     if wrong:
         return Claim("damping", False, f"{' and '.join(wrong)} not positive definite")
-    return Claim("damping", True, "D ≻ 0 and Dc ≻ 0, in exact arithmetic on the stored numbers")
+    return Claim("damping", True, statements.DAMPING)
 
 
 def linearisation(potential: Potential, Z: Interval) -> Interval:
@@ -130,11 +134,7 @@ def prove_attraction(
             shifted = A + rate * np.eye(A.shape[-1])
             P = _lyapunov(shifted.mid)
             if P is not None and _is_hurwitz(shifted, P):
-                text = (
-                    f"z̄ is locally asymptotically stable: every eigenvalue of the linearisation "
-                    f"has a real part below {-rate:.3g}, by a Lyapunov inequality"
-                )
-                return Claim("attraction", True, text, {"rate": rate})
+                return Claim("attraction", True, statements.attraction(rate), {"rate": rate})
     text = f"the linearisation at z̄ is not proved to be Hurwitz (abscissa about {abscissa:.3g})"
     return Claim("attraction", False, text)
 
@@ -183,22 +183,22 @@ def prove_only_stable(design: Design) -> Claim | None:
     """
     conserved = _conserved(design)
     if conserved is not None:
-        text = f"z̄ is stable, but cannot attract: the damped loop conserves {conserved}"
-        return Claim("stability", True, text)
+        text = statements.conserved(_casimir_texts(design)[conserved])
+        return Claim("stability", True, text, {"conserved": conserved})
     verdict = design.verdict
     if verdict.stability == "stable" and verdict.witness:
-        text = f"z̄ is stable; no design can make this target attract: {verdict.witness}"
-        return Claim("stability", True, text)
+        return Claim("stability", True, statements.only_stable(verdict.witness))
     return None
 
 
-def _conserved(design: Design) -> sp.Expr | None:
+def _conserved(design: Design) -> int | None:
+    """Which Casimir is conserved whatever the damping."""
     loop = design.loop
-    for c in design.casimirs.functions:
+    for index, c in enumerate(design.casimirs.functions):
         slope = gradient(c, loop.z)
         moved = sp.Matrix(loop.ports).T * slope
         constant = all(ex.is_zero(entry) is not False for entry in slope)
         conserved = [*moved, *(loop.M.T * slope)]
         if not constant and all(ex.is_zero(entry) for entry in conserved):
-            return c
+            return index
     return None

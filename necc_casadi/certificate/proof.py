@@ -8,6 +8,7 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass, fields, replace
 from typing import Any
 
+import necc_casadi.certificate.statements as statements
 from necc_casadi.artifact import Design
 from necc_casadi.certificate.chart import ChartRegion
 from necc_casadi.certificate.claim import Claim
@@ -128,19 +129,36 @@ def certify(design: Design, *, region: bool = True, report: Report | None = None
     potential = Potential(design)
     equilibrium = prove_equilibrium(potential)
     told("decrease", 0.5)
-    claims = [_equilibrium_claim(equilibrium), *prove_decrease(design)]
-    claims.append(prove_attraction(potential, equilibrium, claims))
-    stability = None
-    if equilibrium.proved and claims[-2].holds:
-        stability = "asymptotic" if claims[-1].holds else None
-        conserved = None if stability else prove_only_stable(design)
-        if conserved is not None:
-            claims[-1] = conserved
-            stability = "stable"
-    certificate = _collect(design, tuple(claims), equilibrium, stability)
+    claims, stability = _local(potential, equilibrium)
+    certificate = _collect(design, claims, equilibrium, stability)
     if not region:
         return certificate
     told("region", 0.0)
+    certificate = _extended(certificate, potential, equilibrium)
+    told("region", 1.0)
+    return certificate
+
+
+def _local(potential: Potential, equilibrium: Equilibrium) -> tuple[tuple[Claim, ...], str | None]:
+    """What holds near z̄, and the kind of stability that follows."""
+    design = potential.design
+    claims = (_equilibrium_claim(equilibrium), *prove_decrease(design))
+    attraction = prove_attraction(potential, equilibrium, claims)
+    if not (equilibrium.proved and claims[-1].holds):
+        return (*claims, attraction), None
+    if attraction.holds:
+        return (*claims, attraction), "asymptotic"
+    only_stable = prove_only_stable(design)
+    if only_stable is None:
+        return (*claims, attraction), None
+    return (*claims, only_stable), "stable"
+
+
+def _extended(
+    certificate: Certificate, potential: Potential, equilibrium: Equilibrium
+) -> Certificate:
+    """The certificate with the region, the input limits and the whole space."""
+    design, stability = potential.design, certificate.stability
     if stability is None:
         missing = Claim("region", False, "no region without a proof of stability")
         return replace(certificate, claims=(*certificate.claims, missing))
@@ -153,46 +171,45 @@ def certify(design: Design, *, region: bool = True, report: Report | None = None
     if design.loop.plant.u_limits is not None:
         level_u = _input_level(design, proof, equilibrium)
         claims.append(_limits_claim(design, proof, level_u))
-    told("region", 1.0)
-    return replace(
+    found = replace(
         certificate,
         claims=(*certificate.claims, *claims, everywhere),
         is_global=everywhere.holds,
+    )
+    if proof.region is None:
+        return found
+    return replace(
+        found,
+        level=proof.region.level,
         level_u=level_u,
-        level=None if proof.region is None else proof.region.level,
-        limited_by=proof.limited_by,
-        domain_share=proof.shares.get("domain_share"),
+        limited_by=proof.limited_by(design.loop.states),
+        domain_share=proof.shares["domain_share"],
         region=proof.region,
     )
 
 
 def _global_claim(design: Design, stability: str) -> Claim:
-    missing = "z̄ is not proved to attract"
+    missing: str | None = "z̄ is not proved to attract"
+    resting: tuple[int, ...] = ()
     if stability == "asymptotic":
         resting = quadratic_states(design)
-        reason = why_not_global(design, resting)
-        if reason is None:
-            text = "z̄ is globally asymptotically stable: every solution converges to it"
-            return Claim("global", True, text, {"resting": list(resting)})
-        missing = reason
-    return Claim("global", False, f"no global claim: {missing}")
+        missing = why_not_global(design, resting)
+    if missing is None:
+        return Claim("global", True, statements.GLOBAL, {"resting": list(resting)})
+    return Claim("global", False, f"{statements.UNPROVED['global']}{missing}")
 
 
 def _region_claim(design: Design, proof: Proof, stability: str) -> Claim:
-    if proof.region is None:
-        return Claim("region", False, f"no region is proved: {proof.limited_by}")
-    share = 100 * proof.shares["domain_share"]
-    where = (
-        f"the component Ω of {{V ≤ {proof.region.level:.6g}}} around z̄ lies in the domain "
-        f"(at least {share:.0f} % of it, momenta at rest; limited by {proof.limited_by})"
-    )
-    if stability != "asymptotic":
-        return Claim("region", True, f"{where} and is invariant; z̄ is stable", proof.shares)
-    resting = [i for i in range(design.loop.n) if i not in proof.region.active]
-    if critical_points_are_invariant(design, resting, surroundings(design, proof.region)):
-        return Claim("region", True, f"{where}; every solution from Ω converges to z̄", proof.shares)
-    text = f"{where}; Ω is invariant, and z̄ locally asymptotically stable"
-    return Claim("region", True, text, proof.shares)
+    limit = proof.limited_by(design.loop.states)
+    if proof.region is None or proof.limit is None:
+        return Claim("region", False, f"{statements.UNPROVED['region']} is proved: {limit}")
+    follows = statements.STABLE
+    if stability == "asymptotic":
+        resting = [i for i in range(design.loop.n) if i not in proof.region.active]
+        every = critical_points_are_invariant(design, resting, surroundings(design, proof.region))
+        follows = statements.CONVERGES if every else statements.INVARIANT
+    text = statements.region(proof.region.level, proof.shares["domain_share"], limit, follows)
+    return Claim("region", True, text, {**proof.shares, "limit": proof.limit.data})
 
 
 def _input_level(design: Design, proof: Proof, equilibrium: Equilibrium) -> float | None:
@@ -205,12 +222,11 @@ def _input_level(design: Design, proof: Proof, equilibrium: Equilibrium) -> floa
 
 
 def _limits_claim(design: Design, proof: Proof, level_u: float | None) -> Claim:
-    limits = ", ".join(f"[{lo:g}, {hi:g}]" for lo, hi in design.loop.plant.u_limits or ())
+    limits = design.loop.plant.u_limits or ()
     if proof.region is None or level_u is None:
-        text = f"no neighbourhood of z̄ is proved to keep u within {limits}"
+        text = f"{statements.UNPROVED['input_limits']}{statements.ranges(limits)}"
         return Claim("input_limits", False, text)
-    where = "all of Ω" if level_u == proof.region.level else f"{{V ≤ {level_u:.6g}}} in Ω"
-    text = f"u stays within {limits} on {where}, which is invariant: saturation never acts there"
+    text = statements.input_limits(limits, level_u, proof.region.level)
     return Claim("input_limits", True, text)
 
 
@@ -219,10 +235,7 @@ def _equilibrium_claim(found: Equilibrium) -> Claim:
     if found.mu is None or found.radius is None or found.bound is None:
         text = "no ball around z* is proved to hold exactly one critical point of V"
         return Claim("equilibrium", False, text, data)
-    text = (
-        f"V has exactly one critical point z̄ within {found.radius:.3g} of z*, ∇²V ⪰ "
-        f"{found.mu:.3g} I there, and ‖z̄ − z*‖ ≤ {found.bound:.3g}"
-    )
+    text = statements.equilibrium(found.radius, found.mu, found.bound)
     return Claim("equilibrium", True, text, data)
 
 

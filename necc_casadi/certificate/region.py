@@ -24,6 +24,7 @@ from necc_casadi.certificate.grid import Grid
 from necc_casadi.certificate.intervals import Interval
 from necc_casadi.certificate.search import GRID_CELLS, Found, widest_grid
 from necc_casadi.certificate.sizes import ellipsoid_sizes, grid_sizes
+from necc_casadi.certificate.statements import Limit, limited_by
 from necc_casadi.certificate.structure import quadratic_states, stiffness
 from necc_casadi.networks import Vector
 
@@ -129,8 +130,18 @@ class Proof:
     """A region, what limits it, and what it covers; `region` is None where nothing is proved."""
 
     region: Region | None
-    limited_by: str
+    limit: Limit | None  # None where nothing that could be named stopped the search
     shares: Mapping[str, float]
+
+    def limited_by(self, states: Sequence[str]) -> str:
+        """What limits the region, in words."""
+        if self.limit is None:
+            return "no neighbourhood of z̄ is proved free of other critical points"
+        region = self.region
+        if isinstance(region, GridRegion) and self.limit.kind != "momentum":
+            place = self.limit.place(region.first, region.step)
+            return limited_by(self.limit, region.method, states, region.active, place)
+        return limited_by(self.limit, "" if region is None else region.method, states)
 
 
 def surroundings(design: Design, region: Region) -> Interval:
@@ -160,8 +171,8 @@ def prove_region(potential: Potential, equilibrium: Equilibrium) -> Proof:
     bottom = reduced.jet(z_bar[None, :]).value
     ceiling, state = momentum_ceiling(design, resting, domain, float(bottom.lo[0]))
     if not ceiling > bottom.hi[0]:
-        return Proof(None, f"the domain, in {state}", {})
-    limit = (ceiling, f"the domain, in {state}")
+        return Proof(None, Limit("momentum", (state,)), {})
+    limit = (ceiling, Limit("momentum", (state,)))
     inner = domain.of(reduced.active)
     proof = None
     if len(reduced.active) in GRID_CELLS:
@@ -170,53 +181,52 @@ def prove_region(potential: Potential, equilibrium: Equilibrium) -> Proof:
         proof = _in_chart(reduced, inner, z_bar, limit)
     if proof is None:
         proof = _in_ellipsoid(reduced, inner, z_bar, limit)
-    reason = "no neighbourhood of z̄ is proved free of other critical points"
-    return proof or Proof(None, reason, {})
+    return proof or Proof(None, None, {})
 
 
 def _on_grid(
-    potential: Potential, domain: Domain, z_bar: Interval, limit: tuple[float, str]
+    potential: Potential, domain: Domain, z_bar: Interval, limit: tuple[float, Limit]
 ) -> Proof | None:
     """The region on a grid; None where none is fine enough for the surroundings of z̄."""
     found = widest_grid(potential, Interval(domain.lo, domain.hi), z_bar, limit[0])
     if found is None:
         return None
     grid = found.grid
-    limited_by = limit[1] if found.level >= limit[0] else _limit(potential, found, domain)
+    stopped = limit[1] if found.level >= limit[0] else _stopped(found, domain)
     region = GridRegion(
         found.level, potential.active, grid.first, grid.shape, grid.step, found.flood.core,
         _packed(found.mask),
     )  # fmt: skip
     box = Interval(domain.lo, domain.hi)
-    return Proof(region, limited_by, grid_sizes(potential, found, box, z_bar))
+    return Proof(region, stopped, grid_sizes(potential, found, box, z_bar))
 
 
 def _in_chart(
-    potential: Potential, domain: Domain, z_bar: Interval, limit: tuple[float, str]
+    potential: Potential, domain: Domain, z_bar: Interval, limit: tuple[float, Limit]
 ) -> Proof | None:
     """The region in the coordinates (c, ξ), with a lower bound of its volume and half-widths."""
     region = widest_chart(potential, z_bar.mid, domain.lo, domain.hi, limit[0])
     if region is None or not region.level > potential.jet(z_bar[None, :]).value.hi[0]:
         return None
-    limited_by = limit[1] if region.level >= limit[0] else "the bounds of the Casimirs' curvature"
+    stopped = limit[1] if region.level >= limit[0] else Limit("curvature")
     B, d, states = np.array(region.basis), len(region.active), potential.design.loop.states
     ball = math.pi ** (d / 2) / math.gamma(d / 2 + 1) * region.inner**d
     half = 0.999 * region.inner * np.sqrt((B**2).sum(1))
     shares = {"domain_share": 0.999 * ball * abs(float(np.linalg.det(B))) / domain.volume}
     reach = zip(region.active, half, strict=True)
     shares |= {f"reach_{states[i]}": float(v) for i, v in reach}
-    return Proof(region, limited_by, shares)
+    return Proof(region, stopped, shares)
 
 
 def _in_ellipsoid(
-    potential: Potential, domain: Domain, z_bar: Interval, limit: tuple[float, str]
+    potential: Potential, domain: Domain, z_bar: Interval, limit: tuple[float, Limit]
 ) -> Proof | None:
     """The region in an ellipsoid around z̄, with a lower bound of its volume and half-widths."""
     with np.errstate(all="ignore"):
         core = widest_core(potential, z_bar.mid, domain.lo, domain.hi)
     if core is None:
         return None
-    level, limited_by = min(limit, (core.level, "the bound of the curvature of V"))
+    level, stopped = min(limit, (core.level, Limit("curvature")))
     height = level - float(potential.jet(z_bar[None, :]).value.hi[0])
     if not height > 0:
         return None
@@ -233,39 +243,36 @@ def _in_ellipsoid(
     # ½ above |e|² ≤ 0.999 height is part of Ω
     radius = min(math.sqrt(2 * 0.999 * height / core.above), core.radius)
     box = Interval(domain.lo, domain.hi)
-    return Proof(region, limited_by, ellipsoid_sizes(potential, core.L, radius, box, z_bar))
+    return Proof(region, stopped, ellipsoid_sizes(potential, core.L, radius, box, z_bar))
 
 
 def momentum_ceiling(
     design: Design, resting: Sequence[int], domain: Domain, bottom: float
-) -> tuple[float, str]:
+) -> tuple[float, int]:
     """Level below which the momenta stay in the domain, and the momentum that binds."""
     if not resting:
-        return np.inf, ""
+        return np.inf, -1
     active = [i for i in range(design.loop.n) if i not in resting]
     y, s = domain.of(active), domain.of(resting)
     reach = np.minimum(-s.lo, s.hi)
     t = stiffness(design, resting, Interval(y.lo, y.hi))
-    states = [design.loop.states[i] for i in resting]
     if t is None or (reach <= 0).any():
-        return -np.inf, states[int(np.argmin(reach))]
+        return -np.inf, resting[int(np.argmin(reach))]
     delta = 1.0 if design.form.phi is None else float(design.form.phi.delta)
     ceilings = bottom + 0.5 * delta * t * reach**2 * (1 - 1e-12)
     tightest = int(np.argmin(ceilings))
-    return float(np.nextafter(ceilings[tightest], -np.inf)), states[tightest]
+    return float(np.nextafter(ceilings[tightest], -np.inf)), resting[tightest]
 
 
-def _limit(potential: Potential, found: Found, domain: Domain) -> str:
-    """What stops the level of a flood, and where."""
+def _stopped(found: Found, domain: Domain) -> Limit:
+    """What stops the level of a flood, and in which cell."""
     grid = found.grid
-    box = grid.boxes(np.array([found.flood.limiting]))[0]
-    names = [potential.design.loop.states[i] for i in potential.active]
-    where = ", ".join(f"{n} = {v:.3g}" for n, v in zip(names, box.mid, strict=True))
+    cell = tuple(int(k) for k in np.unravel_index(found.flood.limiting, grid.shape))
     if not found.flood.at_boundary:
-        return f"a critical point near {where}"
-    step = np.array(grid.step)
+        return Limit("critical", cell)
+    box, step = grid.boxes(np.array([found.flood.limiting]))[0], np.array(grid.step)
     at_border = ((box.lo - step < domain.lo) | (box.hi + step > domain.hi)).any()
-    return f"the domain, near {where}" if at_border else f"the width of the cells near {where}"
+    return Limit("border" if at_border else "cells", cell)
 
 
 def _packed(mask: Truth) -> str:
