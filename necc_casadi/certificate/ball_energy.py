@@ -78,20 +78,6 @@ class Energy:
         """∇V over a box."""
         return self._first(box)[1]
 
-    def slope_along(self, box: Box, direction: Sequence[float]) -> arb:
-        """∇V · direction over a box; what the Casimirs add cancels before it is enclosed."""
-        t = direction
-        e, de, C, _ = self._energy_and_casimir(box)
-        _, inner, outer, _ = self._casimir(box)
-        energy = sum((g * v for g, v in zip(de, t, strict=True)), arb(0))
-        casimir = arb(0)
-        for slope, (_, grad, _) in zip(outer, inner, strict=True):
-            casimir += slope * sum((g * v for g, v in zip(grad, t, strict=True)), arb(0))
-        if self.phi is None:
-            return arb(energy + casimir)
-        slopes = self.phi((ends(e), ends(C)))[1]
-        return arb(slopes[0] * energy + slopes[1] * casimir)
-
     def gradient_at(self, point: Sequence[arb]) -> list[arb]:
         """∇V at a point of balls, to the precision that is set; none is rounded to doubles."""
         values = dict(zip(self.variables, point, strict=True))
@@ -116,6 +102,20 @@ class Energy:
 
     def _combined(self, parts: Sequence[tuple[arb, list[arb]]]) -> list[arb]:
         return [sum((w * v[i] for w, v in parts), arb(0)) for i in range(self.d)]
+
+    def slope_along(self, box: Box, direction: Sequence[float]) -> arb:
+        """∇V · direction over a box; what the Casimirs add cancels before it is enclosed."""
+        t = direction
+        e, de, C, _ = self._energy_and_casimir(box)
+        _, inner, outer, _ = self._casimir(box)
+        energy = sum((g * v for g, v in zip(de, t, strict=True)), arb(0))
+        casimir = arb(0)
+        for slope, (_, grad, _) in zip(outer, inner, strict=True):
+            casimir += slope * sum((g * v for g, v in zip(grad, t, strict=True)), arb(0))
+        if self.phi is None:
+            return arb(energy + casimir)
+        slopes = self.phi((ends(e), ends(C)))[1]
+        return arb(slopes[0] * energy + slopes[1] * casimir)
 
     def _first(self, box: Box) -> tuple[arb, list[arb]]:
         e, de, C, dC = self._energy_and_casimir(box)

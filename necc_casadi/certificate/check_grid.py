@@ -91,12 +91,13 @@ class GridProof:
         decided = any(bool(g > 0) or bool(g < 0) for g in self.energy.gradient(around))
         return not (in_core or decided or self.energy.value(self.box(cell)) > level)
 
-    def at_border(self, cell: tuple[int, ...]) -> bool:
-        """Whether no further cell fits between a cell and the border of the domain, on one side."""
+    def at_domain(self, cell: Sequence[int]) -> bool:
+        """Whether the domain ends at a cell or at the one beside it."""
         bounds = self.checker.model.bounds()
+        pairs = zip(self.energy.active, self.box(cell), self.step, strict=True)
         return any(
             not bool(bounds[i][0] <= lo - h) or not bool(hi + h <= bounds[i][1])
-            for i, (lo, hi), h in zip(self.energy.active, self.box(cell), self.step, strict=True)
+            for i, (lo, hi), h in pairs
         )
 
     def _outer_faces(self, cell: tuple[int, ...]) -> list[Box]:

@@ -27,6 +27,7 @@ _PROOFS: dict[str, type[GridProof] | type[CoreProof] | type[ChartProof]] = {
 }
 #: What limits a region is confirmed by looking this much higher above V(z̄) than c.
 _HIGHER = 1.1
+_SIZES = ("volume", "domain_share", "slice_share", "plant_share")
 #: The same for momenta, which the maker bounds by their least stiffness, less sharply.
 _MUCH_HIGHER = 6.0
 
@@ -68,12 +69,11 @@ def check_region(evidence: Evidence, sound: bool) -> Checked:
 def _only_sizes(evidence: Evidence, region: Fields, data: Fields) -> bool:
     """Whether no size of the region is claimed but those that its proof looks at."""
     reach = {f"reach_{evidence.model.states[int(i)]}" for i in region["active"]}
-    sizes = set() if region["method"] == "chart" else {"volume", "slice_share", "plant_share"}
-    return set(data) <= {"domain_share", "limit"} | reach | sizes
+    return set(data) <= {"limit", *_SIZES} | reach
 
 
 def _consequences(evidence: Evidence, resting: Sequence[int], box: Box) -> list[str]:
-    """What follows for solutions from the region, which is in the box, the most first."""
+    """What follows for solutions from the region, the most first."""
     if evidence.certificate["stability"] != "asymptotic":
         return [statements.STABLE]
     if invariant_points(evidence.model, resting, box):
@@ -96,9 +96,9 @@ def _stops(
         )
     if not isinstance(proof, GridProof) or limit.kind not in ("border", "cells", "critical"):
         return False
-    level = _raised(proof.level, bottom, _HIGHER)
-    at_border = limit.kind == "critical" or proof.at_border(limit.at) == (limit.kind == "border")
-    return at_border and proof.touches(limit.at, level, border=limit.kind != "critical")
+    level, border = _raised(proof.level, bottom, _HIGHER), limit.kind != "critical"
+    named = not border or proof.at_domain(limit.at) == (limit.kind == "border")
+    return named and proof.touches(limit.at, level, border)
 
 
 def _raised(level: float, bottom: arb, factor: float) -> float:

@@ -14,9 +14,10 @@ __all__ = ["ball_volume", "sides_of", "sizes_hold"]
 
 def sizes_hold(proved: Mapping[str, arb], data: Mapping[str, Any], share: float) -> bool:
     """Whether every number claimed has a name that is known and is at most the proved bound."""
-    sizes = {key: float(data[key]) for key in data if key != "limit"}
-    return share == sizes["domain_share"] and all(
-        key in proved and bool(proved[key] >= value) for key, value in sizes.items()
+    return share == data["domain_share"] and all(
+        key in proved and bool(proved[key] >= float(value))
+        for key, value in data.items()
+        if key != "limit"
     )
 
 

@@ -20,9 +20,9 @@ from necc_casadi.certificate.core import half_axes, widest_core
 from necc_casadi.certificate.definite import Truth
 from necc_casadi.certificate.enclosures import Potential
 from necc_casadi.certificate.equilibrium import Equilibrium
-from necc_casadi.certificate.grid import Grid
+from necc_casadi.certificate.grid import Flood, Grid
 from necc_casadi.certificate.intervals import Interval
-from necc_casadi.certificate.search import GRID_CELLS, Found, widest_grid
+from necc_casadi.certificate.search import GRID_CELLS, widest_grid
 from necc_casadi.certificate.sizes import ellipsoid_sizes, grid_sizes
 from necc_casadi.certificate.statements import Limit, limited_by
 from necc_casadi.certificate.structure import quadratic_states, stiffness
@@ -191,13 +191,15 @@ def _on_grid(
     found = widest_grid(potential, Interval(domain.lo, domain.hi), z_bar, limit[0])
     if found is None:
         return None
-    grid = found.grid
-    stopped = limit[1] if found.level >= limit[0] else _stopped(found, domain)
+    cells, grid = found.flood, found.grid
+    at = tuple(int(k) for k in np.unravel_index(cells.limiting, grid.shape))
+    own = Limit(_kind(grid, cells, domain), at)
     region = GridRegion(
-        found.level, potential.active, grid.first, grid.shape, grid.step, found.flood.core,
+        found.level, potential.active, grid.first, grid.shape, grid.step, cells.core,
         _packed(found.mask),
     )  # fmt: skip
     box = Interval(domain.lo, domain.hi)
+    stopped = limit[1] if found.level >= limit[0] else own
     return Proof(region, stopped, grid_sizes(potential, found, box, z_bar))
 
 
@@ -264,15 +266,14 @@ def momentum_ceiling(
     return float(np.nextafter(ceilings[tightest], -np.inf)), resting[tightest]
 
 
-def _stopped(found: Found, domain: Domain) -> Limit:
-    """What stops the level of a flood, and in which cell."""
-    grid = found.grid
-    cell = tuple(int(k) for k in np.unravel_index(found.flood.limiting, grid.shape))
-    if not found.flood.at_boundary:
-        return Limit("critical", cell)
-    box, step = grid.boxes(np.array([found.flood.limiting]))[0], np.array(grid.step)
-    at_border = ((box.lo - step < domain.lo) | (box.hi + step > domain.hi)).any()
-    return Limit("border" if at_border else "cells", cell)
+def _kind(grid: Grid, found: Flood, domain: Domain) -> str:
+    """What stops the level of a flood: the domain, a smaller grid's end, or a critical point."""
+    if not found.at_boundary:
+        return "critical"
+    box = grid.boxes(np.array([found.limiting]))[0]
+    step = np.array(grid.step)
+    outside = (box.lo - step < domain.lo) | (box.hi + step > domain.hi)
+    return "border" if outside.any() else "cells"
 
 
 def _packed(mask: Truth) -> str:

@@ -31,6 +31,13 @@ CONVERGES = "; every solution from Ω converges to z̄"
 INVARIANT = "; Ω is invariant, and z̄ locally asymptotically stable"
 STABLE = " and is invariant; z̄ is stable"
 
+#: What stops a flood of cells at one of them.
+_WHAT = {
+    "border": "the domain",
+    "cells": "the width of the cells",
+    "critical": "a possible critical point",
+}
+
 #: How a claim begins that is made beside others, but not held.
 UNPROVED = {
     "region": "no region",
@@ -120,9 +127,7 @@ def limited_by(
     if limit.kind == "curvature":
         of = "the Casimirs" if method == "chart" else "V"
         return f"the bounds of the curvature of {of}"
-    what = {"border": "the domain", "cells": "the width of the cells"}.get(
-        limit.kind, "a possible critical point"
-    )
+    what = _WHAT[limit.kind]
     near = ", ".join(f"{states[i]} = {v:.3g}" for i, v in zip(active, place, strict=True))
     return f"{what}, near {near}"
 
