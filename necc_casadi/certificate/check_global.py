@@ -7,6 +7,7 @@ from flint import arb_mat
 
 import necc_casadi.certificate.statements as statements
 from necc_casadi import exact as ex
+from necc_casadi.certificate.ball_floors import bends_above, layered_floor
 from necc_casadi.certificate.ball_matrices import positive
 from necc_casadi.certificate.balls import Box, ball, evaluate, everywhere
 from necc_casadi.certificate.check_evidence import Checked, Evidence
@@ -46,12 +47,21 @@ def check_global(evidence: Evidence, sound: bool) -> Checked:
 
 
 def _floors(evidence: Evidence) -> list[arb_mat] | None:
-    """Matrices below ∇²Hc and ∇²K for all arguments."""
-    nets = (evidence.full.hc, evidence.full.k)
-    shapes = (evidence.model.form["hc"], evidence.model.form["k"])
-    if any(len(shape["hidden"]) > 1 for shape in shapes):
-        return None
-    return [net.floor(shape["activation"]) for net, shape in zip(nets, shapes, strict=True)]
+    """Matrices below ∇²Hc and ∇²K for all arguments; None where a claimed bend is not proved."""
+    form, result = evidence.model.form, []
+    nets, shapes = (evidence.full.hc, evidence.full.k), (form["hc"], form["k"])
+    bends = evidence.claims["global"]["data"]["bends"]
+    for net, shape, bend in zip(nets, shapes, bends, strict=True):
+        if bend is None:
+            result.append(layered_floor(net, shape["activation"]))
+            continue
+        scalar = shape["activation"] == "tanh" and net.d == 1 and len(shape["hidden"]) > 0
+        if not (scalar and bends_above(net, float(bend))):
+            return None
+        floor = net.quadratic_curvature()
+        floor[0, 0] = floor[0, 0] + float(bend)
+        result.append(floor)
+    return result
 
 
 def _from_nets(slopes: list[list[sp.Expr]], floors: list[arb_mat], nc: int) -> arb_mat:

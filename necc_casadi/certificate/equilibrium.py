@@ -19,6 +19,8 @@ __all__ = ["Equilibrium", "prove_equilibrium"]
 
 #: Radii that are tried, in the order of preference: the largest one that can be proved is kept.
 _RADII = 2.0 ** -np.arange(-1.0, 17.0)
+#: The larger radii are tried first: most often one of them holds.
+_BATCHES = 3
 #: μ is this share of the smallest eigenvalue at z*, the first that can be proved.
 _SHARES = (0.5, 0.25, 0.05)
 
@@ -83,12 +85,17 @@ def _largest_ball(
     potential: Potential, z_star: Interval, gradient_norm: float, lowest: float
 ) -> tuple[float, float] | None:
     """(r, μ) with ∇²V ⪰ μI on the cube z* ± r, which holds the ball, and g < μr."""
-    r = _RADII[:, None]
-    cubes = Interval(np.nextafter(z_star.lo - r, -np.inf), np.nextafter(z_star.hi + r, np.inf))
-    hess = potential.lower_hessian(cubes)
+    hessians: list[Interval] = []  # of the cubes, made as they are needed
     for share in _SHARES:
         mu = share * lowest
-        holds = positive_definite(hess, mu) & (gradient_norm < np.nextafter(mu * _RADII, 0))
-        if holds.any():
-            return float(_RADII[np.argmax(holds)]), mu
+        for k, radii in enumerate(np.array_split(_RADII, _BATCHES)):
+            if k == len(hessians):
+                r = radii[:, None]
+                below, above = np.nextafter(z_star.lo - r, -np.inf), z_star.hi + r
+                cubes = Interval(below, np.nextafter(above, np.inf))
+                hessians.append(potential.lower_hessian(cubes))
+            holds = positive_definite(hessians[k], mu)
+            holds &= gradient_norm < np.nextafter(mu * radii, 0)
+            if holds.any():
+                return float(radii[np.argmax(holds)]), mu
     return None

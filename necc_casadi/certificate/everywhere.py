@@ -2,12 +2,13 @@
 
 For Φ = H + Hc + C, linear Casimirs and a plant of constant structure, whose energy has a Hessian
 that is periodic or constant in every state. Networks enter by a matrix below their Hessian for
-all arguments: diag κ less Σ |w| sup|σ″| W Wᵀ, one hidden layer.
+all arguments.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import sympy as sp
@@ -16,61 +17,94 @@ from necc_casadi import exact as ex
 from necc_casadi.artifact import Design
 from necc_casadi.certificate.definite import positive_definite
 from necc_casadi.certificate.enclosures import matrix_enclosure
+from necc_casadi.certificate.floors import layered_floor, scalar_floor
 from necc_casadi.certificate.intervals import Interval, matmul, point
 from necc_casadi.certificate.motion import critical_points_are_invariant
 from necc_casadi.certificate.structure import subdivide
 from necc_casadi.networks import Network, Vector
 
-__all__ = ["why_not_global"]
+__all__ = ["Everywhere", "prove_everywhere"]
 
-#: Bounds of −inf σ″ and sup σ″ over the real line: tanh ±4/(3√3), squareplus in (0, 1/4].
-_BENDS = {"tanh": (0.7699, 0.7699), "sin": (1.0, 1.0), "squareplus": (0.0, 0.25)}
 _CELLS = 4096
 #: ∇²V and ∂²H/∂s² exceed this multiple of the identity, so V grows at least quadratically.
 _MARGIN = 1e-6
+#: Of κ: how far below inf f″ of a deep scalar network its bound may lie, and half of what is kept
+#: so that other arithmetic can confirm it.
+_SLACK = 0.03
 
 
-def why_not_global(design: Design, resting: Sequence[int]) -> str | None:
-    """None where z̄ is proved to attract every state of the whole space; else what is missing."""
+@dataclass(frozen=True)
+class Everywhere:
+    """Whether z̄ is proved to attract every state of the whole space."""
+
+    missing: str | None  # None: nothing is
+    resting: tuple[int, ...] = ()  # momenta that were minimised out
+    bends: tuple[float | None, float | None] = (None, None)
+    """Lower bounds of f″ of Hc and K without their quadratic parts, where cells gave them."""
+
+
+def prove_everywhere(design: Design, resting: Sequence[int]) -> Everywhere:
+    """∇²V ⪰ μI in the states that are not momenta, ∂²H/∂s² ⪰ μI in the momenta."""
     loop, form = design.loop, design.form
     if form.phi is not None or form.betas:
-        return "only Φ = H + Hc + C with C = K(c) is covered"
+        return Everywhere("only Φ = H + Hc + C with C = K(c) is covered")
     if (loop.M.free_symbols | loop.ports.free_symbols) or not critical_points_are_invariant(
         design, resting
     ):
-        return "the invariant sets are not proved to be the critical points of V"
-    weights = form.split(design.weights)
-    floors = [curvature_floor(net, w) for net, w in zip((form.hc, form.k), weights, strict=False)]
-    if floors[0] is None or floors[1] is None:
-        return "networks with several hidden layers have no bound of their curvature here"
+        return Everywhere("the invariant sets are not proved to be the critical points of V")
     others = [s for i, s in enumerate(loop.z) if i not in resting]
     slopes = sp.Matrix([[sp.diff(c, s) for s in others] for c in design.casimirs.functions])
     if slopes.free_symbols:
-        return "the Casimirs are not linear"
+        return Everywhere("the Casimirs are not linear")
     momenta = [loop.z[i] for i in resting]
-    rest = loop.plant.H.subs(dict.fromkeys(momenta, 0))
-    added = _added(floors[0], floors[1], slopes, loop.controller.nc)
+    rest = sp.hessian(loop.plant.H.subs(dict.fromkeys(momenta, 0)), others)
     stiffness = sp.hessian(loop.plant.H, momenta) if momenta else sp.eye(1)
-    convex = _positive_everywhere(sp.hessian(rest, others), added)
-    if not (convex and _positive_everywhere(stiffness, None)):
-        return "∇²V ≻ 0 is not proved for every state"
-    return None
+    weights = form.split(design.weights)
+    networks = list(zip((form.hc, form.k), weights, strict=False))
+
+    def convex(floors: Sequence[Interval]) -> bool:
+        hc, k = floors
+        return _positive_everywhere(rest, _added(hc, k, slopes, loop.controller.nc))
+
+    unproved = Everywhere("∇²V ≻ 0 is not proved for every state")
+    if not _positive_everywhere(stiffness, None):
+        return unproved
+    if convex([layered_floor(*network) for network in networks]):
+        return Everywhere(None, tuple(resting))
+    if not (any(map(_sharper, networks)) and convex([_quadratic(*n) for n in networks])):
+        return unproved
+    bends = [_bend(*network) for network in networks]
+    if convex([_floor(*n, bend) for n, bend in zip(networks, bends, strict=True)]):
+        return Everywhere(None, tuple(resting), (bends[0], bends[1]))
+    return unproved
 
 
-def curvature_floor(network: Network, weights: Vector) -> Interval | None:
-    """A matrix ⪯ ∇²f(v) for every v, d × d; None for several hidden layers."""
-    if len(network.hidden) > 1:
+def _sharper(network: tuple[Network, Vector]) -> bool:
+    """Whether cells of the line bound a network's curvature better than its layers do."""
+    shape = network[0]
+    scalar = shape.inputs == 1 and shape.activation == "tanh"
+    return scalar and shape.quadratic and len(shape.hidden) > 1
+
+
+def _bend(network: Network, weights: Vector) -> float | None:
+    if not _sharper((network, weights)):
         return None
-    d = network.inputs
-    floor = point(
-        np.diag(network.quadratic_part(weights)[0]) if network.quadratic else np.zeros((d, d))
-    )
-    if not network.hidden:
-        return floor
-    (W, _), (w, _) = network.layers(weights)
-    down, up = _BENDS[network.activation]
-    bend = point(np.maximum(w[0], 0)) * down + point(np.maximum(-w[0], 0)) * up
-    return floor - matmul(point(W.T) * bend, point(W))
+    slack = _SLACK * float(network.quadratic_part(weights)[0][0])
+    bend = scalar_floor(network, weights, slack)
+    return None if bend is None else bend - slack
+
+
+def _quadratic(network: Network, weights: Vector) -> Interval:
+    """The curvature of the quadratic part alone, which a tanh network cannot raise everywhere."""
+    if not _sharper((network, weights)):
+        return layered_floor(network, weights)
+    return point(np.diag(network.quadratic_part(weights)[0]))
+
+
+def _floor(network: Network, weights: Vector, bend: float | None) -> Interval:
+    if bend is None:
+        return layered_floor(network, weights)
+    return _quadratic(network, weights) + bend
 
 
 def _added(hc: Interval, k: Interval, slopes: sp.Matrix, nc: int) -> Interval:

@@ -15,7 +15,7 @@ from necc_casadi.certificate.claim import Claim
 from necc_casadi.certificate.decrease import prove_attraction, prove_decrease, prove_only_stable
 from necc_casadi.certificate.enclosures import Potential
 from necc_casadi.certificate.equilibrium import Equilibrium, prove_equilibrium
-from necc_casadi.certificate.everywhere import why_not_global
+from necc_casadi.certificate.everywhere import Everywhere, prove_everywhere
 from necc_casadi.certificate.intervals import self_test
 from necc_casadi.certificate.limits import input_level
 from necc_casadi.certificate.motion import critical_points_are_invariant
@@ -189,14 +189,13 @@ def _extended(
 
 
 def _global_claim(design: Design, stability: str) -> Claim:
-    missing: str | None = "z̄ is not proved to attract"
-    resting: tuple[int, ...] = ()
+    found = Everywhere("z̄ is not proved to attract")
     if stability == "asymptotic":
-        resting = quadratic_states(design)
-        missing = why_not_global(design, resting)
-    if missing is None:
-        return Claim("global", True, statements.GLOBAL, {"resting": list(resting)})
-    return Claim("global", False, f"{statements.UNPROVED['global']}{missing}")
+        found = prove_everywhere(design, quadratic_states(design))
+    if found.missing is not None:
+        return Claim("global", False, f"{statements.UNPROVED['global']}{found.missing}")
+    data = {"resting": list(found.resting), "bends": list(found.bends)}
+    return Claim("global", True, statements.GLOBAL, data)
 
 
 def _region_claim(design: Design, proof: Proof, stability: str) -> Claim:
