@@ -225,8 +225,9 @@ def test_a_global_claim_is_proved_again_or_rejected(pendulum, tmp_path):
 def test_a_lowered_level_may_still_be_true(pendulum, tmp_path):
     def lower(data):
         data["level"] = data["region"]["level"] = data["region"]["level"] - 1e-3
-        data["domain_share"] = claim(data, "region")["data"]["domain_share"] = 0.01
-        claim(data, "region")["data"] = {"domain_share": 0.01}
+        limit = claim(data, "region")["data"]["limit"]
+        claim(data, "region")["data"] = {"domain_share": 0.01, "limit": limit}
+        data["domain_share"] = 0.01
 
     assert all(altered(pendulum, tmp_path, lower).values())
 

@@ -205,9 +205,7 @@ def _region_claim(design: Design, proof: Proof, stability: str) -> Claim:
     follows = statements.STABLE
     if stability == "asymptotic":
         resting = [i for i in range(design.loop.n) if i not in proof.region.active]
-        every = critical_points_are_invariant(
-            design, resting, surroundings(design, proof.region)
-        )
+        every = critical_points_are_invariant(design, resting, surroundings(design, proof.region))
         follows = statements.CONVERGES if every else statements.INVARIANT
     text = statements.region(proof.region.level, proof.shares["domain_share"], limit, follows)
     return Claim("region", True, text, {**proof.shares, "limit": proof.limit.data})

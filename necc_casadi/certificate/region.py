@@ -22,7 +22,7 @@ from necc_casadi.certificate.enclosures import Potential
 from necc_casadi.certificate.equilibrium import Equilibrium
 from necc_casadi.certificate.grid import Flood, Grid
 from necc_casadi.certificate.intervals import Interval
-from necc_casadi.certificate.search import GRID_CELLS, Found, widest_grid
+from necc_casadi.certificate.search import GRID_CELLS, widest_grid
 from necc_casadi.certificate.sizes import ellipsoid_sizes, grid_sizes
 from necc_casadi.certificate.statements import Limit, limited_by
 from necc_casadi.certificate.structure import quadratic_states, stiffness

@@ -75,7 +75,7 @@ def widest_grid(
     while best is not None and _smaller(guess := _around(best.grid, best.mask, domain), box):
         box = guess
         again = _proved(potential, box, z_bar, ceiling)
-        if again is None or again.volume <= best.volume:
+        if again is None or (again.volume, again.level) <= (best.volume, best.level):
             break
         best = again
     return best
