@@ -177,7 +177,7 @@ _output = grouped("Output")
     "--sweep-a",
     metavar="LO:HI:N",
     callback=_range,
-    help="Also design for N values of a and draw distance and bounds against a.",
+    help="Also design and certify for N values of a; draw distance, bounds and region against a.",
 )
 @_output(
     "--real",

@@ -1,4 +1,4 @@
-"""Figures: V around the target, closed-loop responses, distance and bounds against a."""
+"""Figures: V around the target, the proved region, closed-loop responses, designs against a."""
 
 from __future__ import annotations
 
@@ -29,17 +29,25 @@ __all__ = [
 _INK, _TARGET, _MINIMUM = "#1f4e79", "#d9730d", "#2e7d32"
 _GRID = 81
 _MOST_PANELS = 10
+#: Where no proved share exceeds this, shares are drawn on a logarithmic axis.
+_SMALL_SHARE = 0.02
 
 
 @dataclass(frozen=True)
 class SweepPoint:
-    """What one value of a gave (the paper's third figure)."""
+    """What one value of a gave: the paper's third figure, and the region of attraction.
+
+    Shares are of the domain, momenta at rest.
+    """
 
     a: float
     loss: float  # ε
     distance: float  # ‖z̄ − z*‖
     bound_paper: float | None  # ε/(a − ε), None where a ≤ ε
     bound_rigorous: float | None  # g/μ, None where nothing was proved
+    domain_share: float | None = None  # at least this much is proved; None: no region is
+    simulated_share: float | None = None  # converges in simulation; None: not known
+    limited_by: str | None = None  # what keeps the proved region from growing
 
 
 def write_figure(figure: Figure, path: Path, dpi: int = 120) -> Path:
@@ -238,23 +246,63 @@ def _decay_axis(axis: Axes) -> None:
 
 
 def sweep_figure(design: Design, points: Sequence[SweepPoint]) -> Figure:
-    """‖z̄ − z*‖ and its two bounds against a (the paper's third figure)."""
-    figure = Figure(figsize=(6.4, 4.2), layout="constrained")
-    axis = figure.add_subplot()
-    a = [p.a for p in points]
+    """Against a: ‖z̄ − z*‖ with its two bounds, and the region of attraction below."""
+    figure = Figure(figsize=(6.4, 7.0), layout="constrained")
+    figure.suptitle(f"{design.loop.plant.name}: designs against a", fontsize=11)
+    upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
+    _distances(upper, points, float(np.spacing(np.linalg.norm(design.z_star))))
+    _shares(lower, points)
+    ceiling = design.verdict.a_max
+    for axis in (upper, lower):
+        axis.grid(alpha=0.25)
+        if ceiling is not None and max(p.a for p in points) > ceiling:
+            right = axis.get_xlim()[1]
+            axis.axvspan(ceiling, right, color=_TARGET, alpha=0.08, lw=0, label="a above a_max")
+            axis.set_xlim(right=right)
+        axis.legend(fontsize=8)
+    lower.set_xlabel("a, curvature asked of ∇²V(z*)")
+    return figure
+
+
+def _distances(axis: Axes, points: Sequence[SweepPoint], rounding: float) -> None:
+    """Distance and bounds; what is smaller than one rounding of z* lies in a band of its own."""
     series = (
         ("paper's bound ε/(a − ε)", [p.bound_paper for p in points], "s--", _TARGET),
         ("proved bound g/μ", [p.bound_rigorous for p in points], "^-", _MINIMUM),
         ("distance ‖z̄ − z*‖", [p.distance for p in points], "o-", _INK),
     )
-    floor = 1e-17
     for label, values, style, color in series:
-        shown = [np.nan if v is None else max(v, floor) for v in values]
-        axis.plot(a, shown, style, color=color, label=label, ms=5, lw=1.2)
+        shown = [np.nan if v is None else max(v, rounding / 4) for v in values]
+        axis.plot([p.a for p in points], shown, style, color=color, label=label, ms=5, lw=1.2)
     axis.set_yscale("log")
-    axis.set_xlabel("a, curvature asked of ∇²V(z*)")
-    axis.set_ylabel("distance")
-    axis.set_title(f"{design.loop.plant.name}: equilibrium assignment against a", fontsize=11)
-    axis.grid(alpha=0.25, which="both")
-    axis.legend()
-    return figure
+    if axis.get_ylim()[0] < rounding:
+        axis.set_ylim(bottom=rounding / 16)
+        axis.axhspan(rounding / 16, rounding, color="0.92", label="0 within one rounding of z*")
+    axis.set_ylabel("distance from the target")
+
+
+def _shares(axis: Axes, points: Sequence[SweepPoint]) -> None:
+    """Proved beside simulated; a cross on the axis where no region is proved."""
+    a = [p.a for p in points]
+    series = (
+        ("converges in simulation", [p.simulated_share for p in points], "o-", _INK),
+        ("proved, at least", [p.domain_share for p in points], "^-", _MINIMUM),
+    )
+    for label, values, style, color in series:
+        shown = [np.nan if v is None else 100 * v for v in values]
+        if not np.isnan(shown).all():
+            axis.plot(a, shown, style, color=color, label=label, ms=5, lw=1.2)
+    proved = [p.domain_share for p in points if p.domain_share]
+    if proved and max(proved) < _SMALL_SHARE:  # on a linear axis all of them would look like 0
+        axis.set_yscale("log")
+        axis.set_ylim(top=200)
+    else:
+        axis.set_ylim(0, 105)
+    missing = [p.a for p in points if p.domain_share is None]
+    if missing:
+        at_bottom = axis.get_xaxis_transform()
+        axis.plot(
+            missing, [0.0] * len(missing), "x", color=_TARGET, ms=8, mew=2, transform=at_bottom,
+            clip_on=False, label="no region proved",
+        )  # fmt: skip
+    axis.set_ylabel("region of attraction [% of the\ndomain, momenta at rest]")

@@ -143,6 +143,13 @@ def test_the_sweep_keeps_the_bounds_above_the_distance(everything):
         )
 
 
+def test_the_sweep_says_what_is_proved_and_simulated_for_each_a(everything):
+    """No start of the proved share may fail to converge, so it cannot exceed the simulated one."""
+    for point in everything[1]["sweep"]:
+        assert 0.05 < point["domain_share"] <= point["simulated_share"] + 0.05
+        assert "domain" in point["limited_by"]
+
+
 def test_what_was_not_asked_for_is_null(tmp_path):
     code, data = run(PENDULUM, "--target", "pi/4", "--check")
     assert code == 0
