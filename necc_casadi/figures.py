@@ -14,7 +14,8 @@ from matplotlib.figure import Figure
 
 from necc_casadi.artifact import Design, write_text
 from necc_casadi.networks import Vector
-from necc_casadi.simulation import Trajectory, domain_box
+from necc_casadi.simulation import Trajectory
+from necc_casadi.slices import Window, domain_window, shadow, slice_boundary, slice_values
 
 __all__ = [
     "SweepPoint",
@@ -27,7 +28,6 @@ __all__ = [
 ]
 
 _INK, _TARGET, _MINIMUM = "#1f4e79", "#d9730d", "#2e7d32"
-_GRID = 81
 _MOST_PANELS = 10
 #: Where no proved share exceeds this, shares are drawn on a logarithmic axis.
 _SMALL_SHARE = 0.02
@@ -64,30 +64,11 @@ def _label(design: Design, index: int) -> str:
     return f"{name} [{unit}]" if unit else name
 
 
-def _telling_pair(design: Design) -> tuple[int, int]:
-    """The two plant states that a plot of V should show.
-
-    First the state along which the plant's own energy is least convex: what the design changed.
-    Then the one with the largest curvature of V among the rest.
-    """
-    n = design.loop.plant.n
-    hessian = np.asarray(design.lyapunov.hessian(design.z_bar), float)[:n, :n]
-    if n == 1:
-        return 0, n
-    import casadi as ca
-
-    x = ca.MX.sym("x", n)
-    own = ca.Function("own", [x], [ca.hessian(design.lyapunov.terms.H(x), x)[0]])
-    change = np.diag(hessian) - np.diag(np.asarray(own(design.z_bar[:n]), float))
-    first = int(np.argmax(np.abs(change)))
-    order = [i for i in np.argsort(-np.diag(hessian)) if i != first]
-    return first, int(order[0])
-
-
 def lyapunov_figure(design: Design) -> Figure:
     """V over two coordinates through ξ*, as a surface and as contours, with both minima marked."""
-    i, j = _telling_pair(design)
-    A, B, values = _slice(design, i, j)
+    window = domain_window(design)
+    i, j = window.pair
+    A, B, values = slice_values(design, window)
 
     figure = Figure(figsize=(10, 4.4), layout="constrained")
     figure.suptitle(f"{design.loop.plant.name}: Lyapunov function at ξ = ξ*")
@@ -108,16 +89,6 @@ def lyapunov_figure(design: Design) -> Figure:
     return figure
 
 
-def _slice(design: Design, i: int, j: int) -> tuple[Vector, Vector, Vector]:
-    """Grid over coordinates i and j of the domain, and V − V(z̄) there, the others at z*."""
-    lo, hi = domain_box(design)
-    A, B = np.meshgrid(np.linspace(lo[i], hi[i], _GRID), np.linspace(lo[j], hi[j], _GRID))
-    points = np.repeat(design.z_star[:, None], A.size, axis=1)
-    points[i], points[j] = A.ravel(), B.ravel()
-    values = np.asarray(design.lyapunov.V.map(A.size)(points), float).reshape(A.shape)
-    return A, B, values - design.V(design.z_bar)
-
-
 def _mark_minima(design: Design, axis: Axes, i: int, j: int) -> None:
     """Target and minimum of V, axis labels."""
     star, bar = design.z_star, design.z_bar
@@ -129,49 +100,61 @@ def _mark_minima(design: Design, axis: Axes, i: int, j: int) -> None:
 
 def region_boundary(design: Design, level: float, count: int = 12) -> list[Vector]:
     """Plant states on the boundary of {V ≤ level} in the plane that the figures show, ξ = ξ*."""
-    i, j = _telling_pair(design)
-    path = _around_minimum(design, level, i, j)
+    window = _window(design, level)[0]
+    path = slice_boundary(design, level, window)
     if path is None:
         return []
     states = np.repeat(design.z_star[None, :], count, axis=0)
-    states[:, [i, j]] = path[np.linspace(0, len(path) - 1, count, endpoint=False).astype(int)]
+    way = np.concatenate([[0.0], np.cumsum(np.hypot(*(np.diff(path, axis=0) / np.ptp(path, 0)).T))])
+    at = np.linspace(0, way[-1], count, endpoint=False)
+    states[:, list(window.pair)] = np.stack([np.interp(at, way, side) for side in path.T], -1)
     return list(states[:, : design.loop.plant.n])
 
 
-def _around_minimum(design: Design, level: float, i: int, j: int) -> Vector | None:
-    """The closed curve V = level around z̄ in the plane of coordinates i and j, (k, 2)."""
-    from matplotlib.path import Path as Curve
-
-    A, B, values = _slice(design, i, j)
-    lines = Figure().add_subplot().contour(A, B, values, levels=[level - design.V(design.z_bar)])
-    for segment in lines.allsegs[0]:
-        curve = np.asarray(segment, float)
-        closed = len(curve) > 3 and np.array_equal(curve[0], curve[-1])
-        if closed and Curve(curve).contains_point((design.z_bar[i], design.z_bar[j])):
-            return curve
-    return None
+def _window(design: Design, level: float) -> tuple[Window, Vector]:
+    """The part of the domain around Ω, and Ω's shadow in it."""
+    domain = domain_window(design)
+    edge = shadow(design, level, domain)
+    return domain.around(edge), edge
 
 
 def region_figure(design: Design, level: float, responses: Sequence[Trajectory]) -> Figure:
-    """The proved region {V ≤ level} over V's contours, with responses from its boundary."""
-    i, j = _telling_pair(design)
-    A, B, values = _slice(design, i, j)
-    top = level - design.V(design.z_bar)
-    figure = Figure(figsize=(6.4, 5.2), layout="constrained")
+    """The proved region over V's contours: its slice at z*, its shadow, responses from the slice.
+
+    Responses leave the slice because ξ moves, but not the shadow.
+    """
+    window, edge = _window(design, level)
+    i, j = window.pair
+    A, B, values = slice_values(design, window)
+    figure = Figure(figsize=(6.4, 5.6), layout="constrained")
     axis = figure.add_subplot()
     axis.contour(A, B, values, levels=_levels(values), cmap="viridis", linewidths=0.7, alpha=0.6)
-    curve = _around_minimum(design, level, i, j)
+    axis.fill(*edge.T, color=_MINIMUM, alpha=0.10, label="Ω seen over all other states (computed)")
+    axis.plot(*np.vstack([edge, edge[:1]]).T, "--", color=_MINIMUM, lw=1)
+    curve = slice_boundary(design, level, window)
     if curve is not None:
-        axis.fill(curve[:, 0], curve[:, 1], color=_MINIMUM, alpha=0.12)
-        axis.plot(*curve.T, color=_MINIMUM, lw=2, label=f"proved: V − V(z̄) ≤ {top:.3g}")
+        axis.fill(*curve.T, color=_MINIMUM, alpha=0.15)
+        top = level - design.V(design.z_bar)
+        proved = f"proved: V − V(z̄) ≤ {top:.3g}, other states at z*"
+        axis.plot(*curve.T, color=_MINIMUM, lw=2, label=proved)
     for index, response in enumerate(responses):
-        label = "simulated from the boundary, ξ(0) = ξ*" if index == 0 else None
-        axis.plot(response.z[:, i], response.z[:, j], lw=0.9, color=_INK, label=label)
-        axis.plot(response.z[0, i], response.z[0, j], ".", color=_INK)
+        label = "simulated from that boundary" if index == 0 else None
+        axis.plot(*response.z[:, [i, j]].T, lw=0.8, color=_INK, alpha=0.8, label=label)
+        axis.plot(*response.z[0, [i, j]], ".", color=_INK)
     _mark_minima(design, axis, i, j)
+    axis.set_xlim(window.lo[0], window.hi[0])
+    axis.set_ylim(window.lo[1], window.hi[1])
     figure.legend(loc="outside lower center", ncols=2, fontsize=8)
-    axis.set_title(f"{design.loop.plant.name}: proved region at ξ = ξ*", fontsize=11)
+    figure.suptitle(f"{design.loop.plant.name}: proved region Ω", fontsize=11)
+    axis.set_title(f"the domain: {_extent(design)}", fontsize=8)  # Ω may be a small part of it
     return figure
+
+
+def _extent(design: Design) -> str:
+    """The domain in words, for the two states that are shown."""
+    whole = domain_window(design)
+    sides = zip(whole.pair, whole.lo, whole.hi, strict=True)
+    return ", ".join(f"{design.loop.states[k]} from {lo:.3g} to {hi:.3g}" for k, lo, hi in sides)
 
 
 def _levels(values: Vector) -> Vector:

@@ -8,7 +8,9 @@ import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from necc_casadi import figures
+from necc_casadi.certificate import certify
 from necc_casadi.simulation import random_states, simulate
+from necc_casadi.slices import telling_pair
 
 
 @pytest.fixture(scope="module")
@@ -27,7 +29,7 @@ def test_the_lyapunov_figure_marks_both_minima(designs, name):
     made = designs[name]
     figure = figures.lyapunov_figure(made)
     flat = figure.axes[1]
-    i, j = figures._telling_pair(made)
+    i, j = telling_pair(made)
     marked = {line.get_label(): line.get_xydata()[0] for line in flat.lines}
     np.testing.assert_array_equal(
         next(v for k, v in marked.items() if "z*" in k), made.z_star[[i, j]]
@@ -78,6 +80,22 @@ def test_two_inputs_are_two_panels(designs):
     some = simulate(made, random_states(made, 1)[0], points=21)
     labels = [axis.get_ylabel() for axis in figures.responses_figure(made, [some]).axes]
     assert {"u1", "u2"} <= set(labels)
+
+
+def test_the_region_is_drawn_large_with_its_slice_and_its_shadow(default_design):
+    """However small the level: the picture follows the region, which the domain would swallow."""
+    bottom = default_design.V(default_design.z_bar)
+    for level in (bottom + 1e-5, certify(default_design).level):
+        starts = figures.region_boundary(default_design, level)
+        assert len(starts) == 12
+        figure = figures.region_figure(default_design, level, [simulate(default_design, starts[0])])
+        (axis,) = figure.axes
+        curve = next(xy for label, xy in lines_of(axis).items() if label.startswith("proved"))
+        low, high = np.transpose([axis.get_xlim(), axis.get_ylim()])
+        assert (np.ptp(curve, axis=0) > 0.3 * (high - low)).all()
+        assert ((low <= curve) & (curve <= high)).all()
+        assert axis.get_title().startswith("the domain: q from -1.21 to 2.79, p from -2 to 2")
+        assert drawn(figure).startswith(b"\x89PNG")
 
 
 def sweep(proved=(0.3, 0.2, 0.1), simulated=(1.0, 1.0, 0.9)):
