@@ -13,7 +13,7 @@ import click
 
 from necc_casadi import __version__
 from necc_casadi.errors import OptionError
-from necc_casadi.terminal import GroupedCommand, Progress, grouped, run
+from necc_casadi.terminal import GroupedCommand, Progress, columns, grouped, run
 
 if TYPE_CHECKING:  # heavy packages are imported where they are used: --help stays instant
     from necc_casadi.artifact import Design
@@ -223,7 +223,8 @@ def _design(model: Path, **options: Any) -> int:
     progress = Progress()
     with progress.shown():
         from necc_casadi.pipeline import Request, run_design
-        from necc_casadi.report import summary, to_json
+        from necc_casadi.report import to_json
+        from necc_casadi.summary import summary
 
         form = (
             "hidden_k",
@@ -263,7 +264,7 @@ def _design(model: Path, **options: Any) -> int:
     if options["as_json"]:
         click.echo(json.dumps(to_json(found), ensure_ascii=False, allow_nan=False))
     else:
-        click.echo(summary(found))
+        click.echo(summary(found, columns()))
     return found.exit_code
 
 

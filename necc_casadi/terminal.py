@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import shutil
 import sys
 import traceback
 from collections.abc import Callable, Iterator, Sequence
@@ -15,10 +16,12 @@ import click
 from necc_casadi.errors import InputError
 from necc_casadi.interrupts import interruptible
 
-__all__ = ["GroupedCommand", "Progress", "grouped", "run"]
+__all__ = ["GroupedCommand", "Progress", "columns", "grouped", "run"]
 
 _UNGROUPED = "Other"
 INTERNAL_FAULT, BAD_INPUT, INTERRUPTED = 1, 2, 130
+#: Columns of a page of text: as many as the terminal has, within these.
+_NARROWEST, _WIDEST = 60, 98
 
 
 class GroupedOption(click.Option):
@@ -93,6 +96,12 @@ def _refuse(code: str, fault: str, remedy: str, as_json: bool, debug: bool) -> i
     click.echo(f"error [{code}]: {fault}", err=True)
     click.echo(f"  {remedy}", err=True)
     return BAD_INPUT
+
+
+def columns() -> int:
+    """Columns for a page of text on this terminal; where stdout is none, as many as we like."""
+    wide = shutil.get_terminal_size((_WIDEST, 24)).columns
+    return max(_NARROWEST, min(_WIDEST, wide))
 
 
 class Progress:
