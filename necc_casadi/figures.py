@@ -11,6 +11,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
 from necc_casadi.artifact import Design, write_text
 from necc_casadi.networks import Vector
@@ -27,7 +28,7 @@ __all__ = [
     "write_figure",
 ]
 
-_INK, _TARGET, _MINIMUM = "#1f4e79", "#d9730d", "#2e7d32"
+_INK, _TARGET, _MINIMUM, _UNSETTLED = "#1f4e79", "#d9730d", "#2e7d32", "#a8324a"
 _MOST_PANELS = 10
 #: Where no proved share exceeds this, shares are drawn on a logarithmic axis.
 _SMALL_SHARE = 0.02
@@ -82,9 +83,9 @@ def lyapunov_figure(design: Design) -> Figure:
 
     flat = figure.add_subplot(1, 2, 2)
     lines = flat.contour(A, B, values, levels=_levels(values), cmap="viridis")
-    flat.clabel(lines, fontsize=7, fmt="%.2g")
+    flat.clabel(lines, levels=lines.levels[2::2], fontsize=7, fmt="%.2g")  # apart from the marks
     _mark_minima(design, flat, i, j)
-    flat.legend(loc="upper right", framealpha=0.9)
+    figure.legend(*flat.get_legend_handles_labels(), loc="outside lower right", ncols=2, fontsize=8)
     flat.set_title("contours of V − V(z̄)", fontsize=10)
     return figure
 
@@ -145,8 +146,8 @@ def region_figure(design: Design, level: float, responses: Sequence[Trajectory])
     axis.set_xlim(window.lo[0], window.hi[0])
     axis.set_ylim(window.lo[1], window.hi[1])
     figure.legend(loc="outside lower center", ncols=2, fontsize=8)
-    figure.suptitle(f"{design.loop.plant.name}: proved region Ω", fontsize=11)
-    axis.set_title(f"the domain: {_extent(design)}", fontsize=8)  # Ω may be a small part of it
+    title = f"{design.loop.plant.name}: proved region Ω"
+    axis.set_title(f"{title}\ndomain: {_extent(design)}", fontsize=10)  # Ω may be a small part
     return figure
 
 
@@ -170,7 +171,7 @@ def responses_figure(design: Design, trajectories: Sequence[Trajectory]) -> Figu
     names = [_label(design, k) for k in shown]
     inputs = min(design.loop.plant.m, _MOST_PANELS)
     panels = len(names) + inputs + 1
-    columns = min(3, panels)
+    columns = min((3, 4), key=lambda number: -panels % number)  # the fewest gaps
     rows = -(-panels // columns)
     figure = Figure(figsize=(3.6 * columns, 2.1 * rows + 0.5), layout="constrained")
     total = len(design.loop.states)
@@ -182,7 +183,9 @@ def responses_figure(design: Design, trajectories: Sequence[Trajectory]) -> Figu
     )
     for k, axis in enumerate(axes[:panels]):
         for response in trajectories:
-            axis.plot(response.t, _panel(response, k, shown, inputs), lw=0.9, color=_INK, alpha=0.7)
+            color = _INK if response.converged else _UNSETTLED
+            values = _panel(response, k, shown, inputs)
+            axis.plot(response.t, values, lw=0.9, color=color, alpha=0.7)
         if k < len(names):
             axis.axhline(design.z_star[shown[k]], ls="--", lw=1, color=_TARGET)
             axis.set_ylabel(names[k])
@@ -192,6 +195,10 @@ def responses_figure(design: Design, trajectories: Sequence[Trajectory]) -> Figu
         else:
             _decay_axis(axis)
         axis.grid(alpha=0.25)
+    if not all(response.converged for response in trajectories):
+        keys = {"settles within 2 %": _INK, "does not settle in this time": _UNSETTLED}
+        lines = [Line2D([], [], color=color, label=label) for label, color in keys.items()]
+        figure.legend(handles=lines, loc="outside lower center", ncols=2, fontsize=8)
     for axis in axes[panels:]:
         axis.remove()
     for k in range(max(0, panels - columns), panels):

@@ -15,7 +15,15 @@ from necc_casadi.certificate.structure import quadratic_states
 from necc_casadi.networks import Vector
 from necc_casadi.simulation import domain_box
 
-__all__ = ["Window", "domain_window", "shadow", "slice_boundary", "slice_values", "telling_pair"]
+__all__ = [
+    "Window",
+    "domain_window",
+    "extent",
+    "shadow",
+    "slice_boundary",
+    "slice_values",
+    "telling_pair",
+]
 
 _GRID = 161
 #: Rays from z̄ along which the shadow is followed; steps to where a quadratic V would reach c.
@@ -103,27 +111,48 @@ def shadow(design: Design, level: float, window: Window) -> Vector:
     Followed along rays from z̄ to where the minimum first exceeds the level, or to the window's
     edge, by Newton's method from the minimum before: computed, not proved.
     """
-    pair = list(window.pair)
-    rest = [i for i in range(len(design.z_bar)) if i not in window.pair]
-    rays, start = _rays(design, pair, rest), design.z_bar[pair][:, None]
+    angle = np.linspace(0, 2 * np.pi, _RAYS, endpoint=False)
+    circle = np.stack([np.cos(angle), np.sin(angle)])
+    return _followed(design, level, list(window.pair), circle, (window.lo, window.hi))
+
+
+def extent(design: Design, level: float) -> Vector:
+    """Least and greatest value of each state on Ω, (n + nc, 2); computed like :func:`shadow`."""
+    lo, hi = domain_box(design)
+    both = np.array([[-1.0, 1.0]])
+    ends = [_followed(design, level, [k], both, (lo[[k]], hi[[k]]))[:, 0] for k in range(len(lo))]
+    return np.array(ends)
+
+
+def _followed(
+    design: Design, level: float, shown: list[int], directions: Vector, box: tuple[Vector, Vector]
+) -> Vector:
+    """Ends of rays in the states `shown`, (rays, shown), with directions (shown, rays) of length 1.
+
+    Lengths are measured such that the least V over the other states rises as ½r² near z̄.
+    """
+    count = directions.shape[1]
+    rest = [i for i in range(len(design.z_bar)) if i not in shown]
+    rays, start = _unit_rise(design, shown, rest) @ directions, design.z_bar[shown][:, None]
+    lo, hi = box[0][:, None], box[1][:, None]
     rise = max(0.0, level - design.V(design.z_bar))
     step = float(np.sqrt(2 * rise)) / _STEPS
-    points = np.repeat(design.z_bar[:, None], _RAYS, axis=1)
-    radius = np.zeros(_RAYS)
+    points = np.repeat(design.z_bar[:, None], count, axis=1)
+    radius = np.zeros(count)
 
     def advance(step: float, moving: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
         """Move rays on where that stays inside; which did."""
         trial = points.copy()
-        trial[pair] = start + (radius + step) * rays
+        trial[shown] = start + (radius + step) * rays
         trial = _lowest(design, trial, rest)
-        values = np.asarray(design.lyapunov.V.map(_RAYS)(trial), float).ravel()
-        seen = (trial[pair] >= window.lo[:, None]) & (trial[pair] <= window.hi[:, None])
+        values = np.asarray(design.lyapunov.V.map(count)(trial), float).ravel()
+        seen = (trial[shown] >= lo) & (trial[shown] <= hi)
         moved: npt.NDArray[np.bool_] = moving & seen.all(0) & (values <= level)
         points[:, moved] = trial[:, moved]
         radius[moved] += step
         return moved
 
-    every = np.full(_RAYS, True)
+    every = np.full(count, True)
     moving = every
     for _ in range(_FARTHEST * _STEPS):
         moving = advance(step, moving)
@@ -134,15 +163,13 @@ def shadow(design: Design, level: float, window: Window) -> Vector:
     return np.asarray((start + radius * rays).T, float)
 
 
-def _rays(design: Design, pair: list[int], rest: list[int]) -> Vector:
-    """Directions along which the least V over the other states rises as ½r² near z̄, (2, rays)."""
+def _unit_rise(design: Design, shown: list[int], rest: list[int]) -> Vector:
+    """T with min V over `rest` ≈ V(z̄) + ½|v|² at z̄ + Tv in the states `shown`."""
     hessian = np.asarray(design.lyapunov.hessian(design.z_bar), float)
-    coupling = hessian[np.ix_(rest, pair)]
+    coupling = hessian[np.ix_(rest, shown)]
     follow = np.linalg.solve(hessian[np.ix_(rest, rest)], coupling)
-    reduced = hessian[np.ix_(pair, pair)] - coupling.T @ follow
-    angle = np.linspace(0, 2 * np.pi, _RAYS, endpoint=False)
-    circle = np.stack([np.cos(angle), np.sin(angle)])
-    return np.asarray(np.linalg.solve(np.linalg.cholesky(reduced).T, circle), float)
+    reduced = hessian[np.ix_(shown, shown)] - coupling.T @ follow
+    return np.asarray(np.linalg.inv(np.linalg.cholesky(reduced)).T, float)
 
 
 def _lowest(design: Design, points: Vector, rest: list[int]) -> Vector:

@@ -19,7 +19,7 @@ from necc_casadi.expressions import to_text
 from necc_casadi.learned import Residual
 from necc_casadi.report import Findings, design_block, region_claim
 
-__all__ = ["summary"]
+__all__ = ["percent", "rounded_down", "summary"]
 
 #: Columns of a page, of the labels, and of the labels inside a block.
 _WIDTH, _INDENT, _SUB = 98, 14, 11
@@ -211,15 +211,15 @@ def _region_rows(found: Findings, certificate: Certificate) -> list[tuple[str, s
         ("slice", "slice_share", "of the plant's part of it, with ξ(0) = ξ*"),
         ("plant", "plant_share", "of the plant's part of it, with a ξ(0) that suits"),
     )
-    rows = [("proved", f"≥ {_percent(data['domain_share'])} of the domain, momenta at rest")]
+    rows = [("proved", f"≥ {percent(data['domain_share'])} of the domain, momenta at rest")]
     rows += _simulated(found, "there")
     rows += [
-        (label, f"≥ {_percent(data[key])} {of}")
+        (label, f"≥ {percent(data[key])} {of}")
         for label, key, of in covered
         if data.get(key) is not None
     ]
     if data.get("volume") is not None:
-        rows.append(("volume", f"≥ {_floored(data['volume'])}"))
+        rows.append(("volume", f"≥ {rounded_down(data['volume'])}"))
     reach = _reach(found, data)
     head = f"Ω = {{V ≤ {certificate.level:.6g}}} around z̄, limited by {certificate.limited_by}"
     return _block(head, rows + ([("reach", reach)] if reach else []))
@@ -243,7 +243,7 @@ def _reach(found: Findings, data: Mapping[str, Any]) -> str:
     """How far from z̄ states of Ω lie at least, for each state of which that is proved."""
     units = found.loop.plant.units
     parts = [
-        _tied(f"{name} ± {_floored(data[f'reach_{name}'])} {units.get(name, '')}".rstrip())
+        _tied(f"{name} ± {rounded_down(data[f'reach_{name}'])} {units.get(name, '')}".rstrip())
         for name in found.loop.states
         if data.get(f"reach_{name}") is not None
     ]
@@ -251,11 +251,12 @@ def _reach(found: Findings, data: Mapping[str, Any]) -> str:
     return ", ".join(parts[:_MANY] + more)
 
 
-def _percent(share: float) -> str:
-    return f"{_floored(100 * share)} %"
+def percent(share: float) -> str:
+    """A lower bound of a share, in percent."""
+    return f"{rounded_down(100 * share)} %"
 
 
-def _floored(value: float, digits: int = 2) -> str:
+def rounded_down(value: float, digits: int = 2) -> str:
     """A lower bound in few digits, rounded down so that it stays one."""
     if not value > 0:
         return "0"

@@ -75,6 +75,17 @@ def test_responses_show_every_state_the_input_and_V(default_design, response):
     assert drawn(figure).startswith(b"\x89PNG")
 
 
+def test_responses_that_do_not_settle_are_told_apart(default_design, response):
+    """By colour, with a legend; where all settle there is none."""
+    assert not figures.responses_figure(default_design, [response]).legends
+    cut = replace(response, z=response.z[:3], u=response.u[:3], V=response.V[:3], t=response.t[:3])
+    figure = figures.responses_figure(default_design, [response, cut])
+    (legend,) = figure.legends
+    colors = {line.get_label(): line.get_color() for line in legend.get_lines()}
+    drawn_in = [line.get_color() for line in figure.axes[0].lines[:2]]
+    assert drawn_in == [colors["settles within 2 %"], colors["does not settle in this time"]]
+
+
 def test_two_inputs_are_two_panels(designs):
     made = designs["joint"]
     some = simulate(made, random_states(made, 1)[0], points=21)
@@ -94,7 +105,7 @@ def test_the_region_is_drawn_large_with_its_slice_and_its_shadow(default_design)
         low, high = np.transpose([axis.get_xlim(), axis.get_ylim()])
         assert (np.ptp(curve, axis=0) > 0.3 * (high - low)).all()
         assert ((low <= curve) & (curve <= high)).all()
-        assert axis.get_title().startswith("the domain: q from -1.21 to 2.79, p from -2 to 2")
+        assert axis.get_title().endswith("domain: q from -1.21 to 2.79, p from -2 to 2")
         assert drawn(figure).startswith(b"\x89PNG")
 
 

@@ -11,6 +11,7 @@ from necc_casadi.model_file import load_model
 from necc_casadi.simulation import simulate
 from necc_casadi.slices import (
     domain_window,
+    extent,
     shadow,
     slice_boundary,
     slice_values,
@@ -101,6 +102,23 @@ def test_the_shadow_holds_the_proved_region(region):
     assert len(inside) > 200
     for points in (inside[:, list(window.pair)], slice_boundary(made, certificate.level, window)):
         assert outline.contains_points(middle + 0.98 * (points - middle)).all()
+
+
+def test_the_extent_bounds_the_region_and_the_shadow(region):
+    """Of momentum and controller state, too."""
+    made, certificate, window, edge = region
+    ends = extent(made, certificate.level)
+    assert ends.shape == (3, 2)
+    for k, state in enumerate(window.pair):
+        np.testing.assert_allclose(ends[state], [edge[:, k].min(), edge[:, k].max()], rtol=0.03)
+    rng = np.random.default_rng(1)
+    states = made.z_star + rng.uniform(-2, 2, (2000, 3))
+    inside = np.array([z for z in states if certificate.region.contains(made, z)])
+    middle = made.z_bar
+    assert (middle + 0.98 * (inside - middle) >= ends[:, 0]).all()
+    assert (middle + 0.98 * (inside - middle) <= ends[:, 1]).all()
+    height = certificate.level - made.V(made.z_bar)  # H = ½p² + …, so p reaches √(2h)
+    assert ends[1] == pytest.approx(np.sqrt(2 * height) * np.array([-1, 1]), rel=0.01)
 
 
 def test_responses_from_the_slice_stay_in_the_shadow(region):

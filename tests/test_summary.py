@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from necc_casadi.certificate import certify
 from necc_casadi.report import Findings, region_claim, to_json
-from necc_casadi.summary import _floored, summary
+from necc_casadi.summary import rounded_down, summary
 from necc_casadi.terminal import columns
 
 
@@ -92,13 +92,13 @@ def test_the_page_is_as_wide_as_the_terminal(monkeypatch):
 
 @given(st.floats(1e-300, 1e300), st.integers(1, 6))
 def test_lower_bounds_are_rounded_down(value, digits):
-    shown = float(_floored(value, digits))
+    shown = float(rounded_down(value, digits))
     assert shown <= value * (1 + 1e-11)
     assert shown >= value * (1 - 10.0 ** (1 - digits)) or math.isclose(shown, value)
 
 
 def test_bounds_read_like_numbers():
-    written = {v: _floored(v) for v in (1e-9, 0.0129, 0.5, 1.0, 31.46, 100.0, 1299.0, 0.0)}
+    written = {v: rounded_down(v) for v in (1e-9, 0.0129, 0.5, 1.0, 31.46, 100.0, 1299.0, 0.0)}
     assert list(written.values()) == ["1e-09", "0.012", "0.5", "1", "31", "100", "1200", "0"]
 
 
