@@ -325,8 +325,8 @@ def _simulate(out: Path, **options: Any) -> int:
         if options[key] is not None and len(options[key]) != len(states):
             raise OptionError(
                 "usage",
-                f"--{key} has {len(options[key])} values, but there are {len(states)} states",
-                f"Give {len(states)}: {', '.join(states)}.",
+                f"--{key}: {len(states)} number(s) are needed, not {len(options[key])}",
+                f"Give one for each of {', '.join(states)}.",
             )
     x0 = options["x0"] or tuple((made.z_star + domain_box(made)[1])[:n] / 2)
     xi0 = options["xi0"] or tuple(made.xi_star)

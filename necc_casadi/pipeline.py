@@ -357,7 +357,7 @@ def _notes(model: Model, casimirs: Casimirs) -> list[str]:
         for p in model.loop.properties
         if not p.proved
     ]
-    return notes + ([casimirs.note] if casimirs.note else [])
+    return [*model.notes, *notes, *([casimirs.note] if casimirs.note else [])]
 
 
 def check_writable(folder: Path) -> None:
