@@ -184,17 +184,18 @@ def outcome(run: Run) -> str:
         if claim.name not in (*COMMON, "global"):
             rows.append(f"- {'Proved' if claim.holds else '**Not proved**'}: {claim.statement}")
     rows.append(f"- Global with `--global`: {run.everywhere}\n")
-    pictures = {"responses": responses_figure(found.design, found.responses)}
+    pictures = {"closed-loop responses": responses_figure(found.design, found.responses)}
     level = found.certificate.level
     if level is not None:
         rows.append(reach(found, level) + "\n")
         starts = region_boundary(found.design, level)
-        pictures["region"] = region_figure(
+        pictures["proved region"] = region_figure(
             found.design, level, [simulate(found.design, x0) for x0 in starts]
         )
     for name, figure in pictures.items():
-        write_figure(figure, DOCS / "images" / f"{run.picture}-{name}.png", dpi=70)
-        rows.append(f"![{name} of the closed loop](images/{run.picture}-{name}.png)\n")
+        picture = f"{run.picture}-{name.split()[-1]}.png"
+        write_figure(figure, DOCS / "images" / picture, dpi=70)
+        rows.append(f"![{found.loop.plant.name}: {name}](images/{picture})\n")
     return "\n".join(rows)
 
 
@@ -202,12 +203,12 @@ def reach(found: Findings, level: float) -> str:
     """A table of how far Ω reaches in each state."""
     made, units = found.design, found.loop.plant.units
     proved = region_claim(found.certificate).data
-    lines = ["| state | target | Ω reaches, computed | of which proved |", "|---|---|---|---|"]
+    lines = ["| state | target | Ω reaches (computed) | proved at least |", "|---|---|---|---|"]
     for name, star, (low, high) in zip(
         made.loop.states, made.z_star, extent(made, level), strict=True
     ):
         half = proved.get(f"reach_{name}")
-        sure = "" if half is None else f"± {rounded_down(half)}"
+        sure = "–" if half is None else f"± {rounded_down(half)} around z̄"
         unit = f" [{units[name]}]" if name in units else ""
         star = 0.0 if np.isclose(star, 0, atol=1e-12) else star
         lines.append(f"| {name}{unit} | {star:.4g} | {low:.3g} … {high:.3g} | {sure} |")

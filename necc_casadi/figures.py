@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -83,7 +84,8 @@ def lyapunov_figure(design: Design) -> Figure:
 
     flat = figure.add_subplot(1, 2, 2)
     lines = flat.contour(A, B, values, levels=_levels(values), cmap="viridis")
-    flat.clabel(lines, levels=lines.levels[2::2], fontsize=7, fmt="%.2g")  # apart from the marks
+    labelled = _levels(values)[2::2]  # apart from the marks
+    flat.clabel(lines, levels=labelled, fontsize=7, fmt="%.2g")
     _mark_minima(design, flat, i, j)
     figure.legend(*flat.get_legend_handles_labels(), loc="outside lower right", ncols=2, fontsize=8)
     flat.set_title("contours of V − V(z̄)", fontsize=10)
@@ -112,6 +114,7 @@ def region_boundary(design: Design, level: float, count: int = 12) -> list[Vecto
     return list(states[:, : design.loop.plant.n])
 
 
+@lru_cache(maxsize=4)
 def _window(design: Design, level: float) -> tuple[Window, Vector]:
     """The part of the domain around Ω, and Ω's shadow in it."""
     domain = domain_window(design)
@@ -176,7 +179,7 @@ def responses_figure(design: Design, trajectories: Sequence[Trajectory]) -> Figu
     figure = Figure(figsize=(3.6 * columns, 2.1 * rows + 0.5), layout="constrained")
     total = len(design.loop.states)
     left_out = f" ({len(shown)} of {total} states)" if len(shown) < total else ""
-    figure.suptitle(f"{design.loop.plant.name}: closed-loop responses{left_out}")
+    figure.suptitle(f"{design.loop.plant.name}: closed-loop responses, targets dashed{left_out}")
     axes = figure.subplots(rows, columns, squeeze=False, sharex=True).ravel()
     steady, _ = design.control(
         design.z_bar[: design.loop.plant.n], design.z_bar[design.loop.plant.n :]
@@ -195,9 +198,16 @@ def responses_figure(design: Design, trajectories: Sequence[Trajectory]) -> Figu
         else:
             _decay_axis(axis)
         axis.grid(alpha=0.25)
-    if not all(response.converged for response in trajectories):
-        keys = {"settles within 2 %": _INK, "does not settle in this time": _UNSETTLED}
-        lines = [Line2D([], [], color=color, label=label) for label, color in keys.items()]
+    outcomes = {response.converged for response in trajectories}
+    if False in outcomes:
+        lines = [
+            Line2D([], [], color=color, label=label)
+            for settled, color, label in (
+                (True, _INK, "settles within 2 %"),
+                (False, _UNSETTLED, "does not settle in this time"),
+            )
+            if settled in outcomes
+        ]
         figure.legend(handles=lines, loc="outside lower center", ncols=2, fontsize=8)
     for axis in axes[panels:]:
         axis.remove()

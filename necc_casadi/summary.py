@@ -201,25 +201,32 @@ def _responses(found: Findings) -> str:
 def _region_rows(found: Findings, certificate: Certificate) -> list[tuple[str, str]]:
     """The proved region beside the simulated one, so that what the proof leaves out is seen."""
     claim = region_claim(certificate)
-    if claim is None and not certificate.is_global:
-        return []
-    if claim is None or not claim.holds:
-        head = "the whole space" if certificate.is_global else "none is proved"
-        return _block(head, _simulated(found, "of the domain, momenta at rest,"))
+    proved = claim is not None and claim.holds
+    if certificate.is_global:
+        head = "the whole space is proved: every solution converges to z̄"
+        if claim is None or not proved:
+            return [("region", head)]
+        within = (
+            f"Ω = {{V ≤ {certificate.level:.6g}}}, ≥ {percent(claim.data['domain_share'])} of it"
+        )
+        return _block(head, [("domain", within)])
+    if claim is None or not proved:
+        where = "of the domain, momenta at rest,"
+        return [] if claim is None else _block("none is proved", _simulated(found, where))
     data = claim.data
-    covered = (
-        ("slice", "slice_share", "of the plant's part of it, with ξ(0) = ξ*"),
-        ("plant", "plant_share", "of the plant's part of it, with a ξ(0) that suits"),
-    )
     rows = [("proved", f"≥ {percent(data['domain_share'])} of the domain, momenta at rest")]
     rows += _simulated(found, "there")
+    covered = (
+        ("slice", "slice_share", "from ξ(0) = ξ*"),
+        ("plant", "plant_share", "where ξ(0) may be chosen"),
+    )
     rows += [
-        (label, f"≥ {percent(data[key])} {of}")
-        for label, key, of in covered
+        (label, f"≥ {percent(data[key])} of the plant states there, {how}")
+        for label, key, how in covered
         if data.get(key) is not None
     ]
     if data.get("volume") is not None:
-        rows.append(("volume", f"≥ {rounded_down(data['volume'])}"))
+        rows.append(("volume", f"≥ {rounded_down(data['volume'])}, momenta at rest"))
     reach = _reach(found, data)
     head = f"Ω = {{V ≤ {certificate.level:.6g}}} around z̄, limited by {certificate.limited_by}"
     return _block(head, rows + ([("reach", reach)] if reach else []))

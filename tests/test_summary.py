@@ -65,8 +65,18 @@ def test_no_region_is_said_so(found):
     rows = block(with_claim(found, holds=False, data={}))
     assert rows[0].endswith("none is proved")
     assert "99.5 % of random states of the domain" in rows[1]
-    whole = replace(found.certificate, claims=found.certificate.claims[:-2], is_global=True)
-    assert block(replace(found, certificate=whole))[0].endswith("the whole space")
+
+
+def test_a_global_proof_is_the_region(found):
+    """What fits into the domain is then the smaller statement, or missing."""
+    whole = replace(found.certificate, is_global=True)
+    head, domain, *rest = block(replace(found, certificate=whole))
+    assert "the whole space" in head
+    assert "31 % of it" in domain
+    assert not rest
+    claims = tuple(claim for claim in whole.claims if claim.name != "region")
+    bare = replace(found, certificate=replace(whole, claims=claims, level=None))
+    assert block(bare) == [head]
 
 
 def test_convergence_is_not_measured_where_nothing_is_to_converge(found):
