@@ -31,6 +31,7 @@ from necc_casadi.summary import percent, rounded_down
 from necc_casadi.synthesis import Options
 
 DOCS = Path(__file__).parent
+IMAGES = DOCS / "images"
 EXAMPLES = DOCS.parent / "examples"
 #: Targets besides the model file's own.
 TARGETS: dict[str, list[str | None]] = {
@@ -87,13 +88,16 @@ class Run:
 
 def main() -> None:
     """Run every example at every target and write the page with its figures."""
-    shutil.rmtree(DOCS / "images", ignore_errors=True)
     runs = {path: runs_of(path) for path in sorted(EXAMPLES.glob("*.py"))}
     table = [HEADER, *[row(run) for some in runs.values() for run in some]]
     sections = [section(path, some) for path, some in runs.items()]
     text = "\n".join([INTRO, *table, "", *sections])
     (DOCS / "gallery.md").write_text(text, encoding="utf-8")
     readme_pictures()
+    shown = text + (DOCS.parent / "README.md").read_text(encoding="utf-8")
+    for picture in IMAGES.glob("*.png"):
+        if f"images/{picture.name})" not in shown:
+            picture.unlink()
 
 
 def runs_of(path: Path) -> list[Run]:
@@ -194,7 +198,7 @@ def outcome(run: Run) -> str:
         )
     for name, figure in pictures.items():
         picture = f"{run.picture}-{name.split()[-1]}.png"
-        write_figure(figure, DOCS / "images" / picture, dpi=70)
+        write_figure(figure, IMAGES / picture, dpi=70)
         rows.append(f"![{found.loop.plant.name}: {name}](images/{picture})\n")
     return "\n".join(rows)
 
@@ -236,8 +240,7 @@ def readme_pictures() -> None:
                 Request(model, out, target="pi/4", paper=paper, sweep_a=sweep), lambda _: None
             )
             for name in names:
-                picture = DOCS / "images" / f"pendulum-{name}.png"
-                shutil.copyfile(out / "figures" / f"{name}.png", picture)
+                shutil.copyfile(out / "figures" / f"{name}.png", IMAGES / f"pendulum-{name}.png")
 
 
 if __name__ == "__main__":

@@ -171,7 +171,9 @@ def _certificate(certificate: Certificate, simulated_share: float | None) -> dic
         "level_u": certificate.level_u,
         "limited_by": certificate.limited_by,
         "domain_share": certificate.domain_share,
-        "shares": None if region is None or not region.holds else dict(region.data),
+        "shares": None
+        if region is None or not region.holds
+        else {key: size for key, size in region.data.items() if isinstance(size, float)},
         "simulated_share": simulated_share,
         "global": certificate.is_global,
     }
