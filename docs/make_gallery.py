@@ -24,7 +24,7 @@ from necc_casadi.figures import (
 )
 from necc_casadi.model_file import load_model
 from necc_casadi.pipeline import Request, run_design
-from necc_casadi.report import Findings, region_claim
+from necc_casadi.report import Findings, attracts, region_claim
 from necc_casadi.simulation import simulate
 from necc_casadi.slices import extent
 from necc_casadi.summary import percent, rounded_down
@@ -49,7 +49,8 @@ Each plant is a short model file in `examples/`. This page is written by
 Every certified design below also has proofs that its Casimirs are Casimirs, that J, R, Jc, Rc, D
 and Dc have the structure that the theory asks for, and that V never increases along the
 continuous-time, unsaturated loop. *Proved region* is a lower bound of the share of the domain,
-momenta at rest; *simulated* is the share of random states of the same set from which the loop
+momenta at rest, from which every solution converges (*attracts*) or which at least none leaves
+(*invariant*); *simulated* is the share of random states of the same set from which the loop
 converges in simulation, – where the target can only be stable. *Global* is what `--global`
 proves: that every solution converges, from anywhere. Coordinates of a target that are not listed
 are 0.
@@ -140,12 +141,13 @@ def row(run: Run) -> str:
         region = region_claim(certificate)
         proved = region is not None and region.holds
         share = found.simulated_share
-        attracts = certificate.stability == "asymptotic"
+        kind = "attracts" if proved and attracts(region) else "invariant"
+        aims = certificate.stability == "asymptotic"
         cells = [
             "assignable",
             certificate.stability or "none",
-            f"≥ {percent(certificate.domain_share)}" if proved else "none",
-            "–" if not attracts else "not known" if share is None else f"{100 * share:.3g} %",
+            f"≥ {percent(certificate.domain_share)}, {kind}" if proved else "none",
+            "–" if not aims else "not known" if share is None else f"{100 * share:.3g} %",
             certificate.limited_by if proved else "–",
             run.everywhere,
         ]

@@ -37,7 +37,7 @@ _SMALL_SHARE = 0.02
 
 @dataclass(frozen=True)
 class SweepPoint:
-    """What one value of a gave: the paper's third figure, and the region of attraction.
+    """What one value of a gave: the paper's third figure, and the proved region.
 
     Shares are of the domain, momenta at rest.
     """
@@ -246,7 +246,7 @@ def _decay_axis(axis: Axes) -> None:
 
 
 def sweep_figure(design: Design, points: Sequence[SweepPoint]) -> Figure:
-    """Against a: ‖z̄ − z*‖ with its two bounds, and the region of attraction below."""
+    """Against a: ‖z̄ − z*‖ with its two bounds; below, how much of the domain is proved."""
     figure = Figure(figsize=(6.4, 7.0), layout="constrained")
     figure.suptitle(f"{design.loop.plant.name}: designs against a", fontsize=11)
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
@@ -286,7 +286,7 @@ def _shares(axis: Axes, points: Sequence[SweepPoint]) -> None:
     a = [p.a for p in points]
     series = (
         ("converges in simulation", [p.simulated_share for p in points], "o-", _INK),
-        ("proved, at least", [p.domain_share for p in points], "^-", _MINIMUM),
+        ("proved region, at least", [p.domain_share for p in points], "^-", _MINIMUM),
     )
     for label, values, style, color in series:
         shown = [np.nan if v is None else 100 * v for v in values]
@@ -305,4 +305,4 @@ def _shares(axis: Axes, points: Sequence[SweepPoint]) -> None:
             missing, [0.0] * len(missing), "x", color=_TARGET, ms=8, mew=2, transform=at_bottom,
             clip_on=False, label="no region proved",
         )  # fmt: skip
-    axis.set_ylabel("region of attraction [% of the\ndomain, momenta at rest]")
+    axis.set_ylabel("share of the domain [%],\nmomenta at rest")

@@ -20,7 +20,7 @@ from necc_casadi.figures import SweepPoint
 from necc_casadi.loop import ClosedLoop
 from necc_casadi.simulation import Trajectory
 
-__all__ = ["Findings", "design_block", "region_claim", "to_json"]
+__all__ = ["Findings", "attracts", "design_block", "region_claim", "to_json"]
 
 #: A design whose ε is above this fell short, whatever else is proved.
 ACCEPTED_LOSS = 1e-6
@@ -159,6 +159,11 @@ def _verdict(verdict: Verdict, casimirs: Casimirs) -> dict[str, Any]:
 def region_claim(certificate: Certificate) -> Claim | None:
     """The claim about the region, whose data are lower bounds of what it covers."""
     return next((claim for claim in certificate.claims if claim.name == "region"), None)
+
+
+def attracts(region: Claim) -> bool:
+    """Whether a proved region is one of attraction; otherwise it is invariant, no more."""
+    return region.holds and "every solution" in region.statement
 
 
 def _certificate(certificate: Certificate, simulated_share: float | None) -> dict[str, Any]:

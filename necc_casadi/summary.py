@@ -17,7 +17,7 @@ from necc_casadi.certificate import Certificate
 from necc_casadi.export import Sampling
 from necc_casadi.expressions import to_text
 from necc_casadi.learned import Residual
-from necc_casadi.report import Findings, design_block, region_claim
+from necc_casadi.report import Findings, attracts, design_block, region_claim
 
 __all__ = ["percent", "rounded_down", "summary"]
 
@@ -228,7 +228,10 @@ def _region_rows(found: Findings, certificate: Certificate) -> list[tuple[str, s
     if data.get("volume") is not None:
         rows.append(("volume", f"≥ {rounded_down(data['volume'])}, momenta at rest"))
     reach = _reach(found, data)
-    head = f"Ω = {{V ≤ {certificate.level:.6g}}} around z̄, limited by {certificate.limited_by}"
+    what = "every solution converges" if attracts(claim) else "solutions stay in it"
+    head = (
+        f"Ω = {{V ≤ {certificate.level:.6g}}} around z̄: {what}; limited by {certificate.limited_by}"
+    )
     return _block(head, rows + ([("reach", reach)] if reach else []))
 
 

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from necc_casadi.certificate import certify
-from necc_casadi.report import Findings, region_claim, to_json
+from necc_casadi.report import Findings, attracts, region_claim, to_json
 from necc_casadi.summary import rounded_down, summary
 from necc_casadi.terminal import columns
 
@@ -42,6 +42,7 @@ def block(found, width=98) -> list[str]:
 def test_the_proved_share_stands_beside_the_simulated_one(found):
     head, *rows = block(found)
     assert f"V ≤ {found.certificate.level:.6g}" in head
+    assert "every solution converges" in head
     assert found.certificate.limited_by.split(",")[0] in head
     proved, simulated = (next(r for r in rows if r.startswith(w)) for w in ("proved", "simulated"))
     share = float(re.search(r"≥ (\S+) %", proved)[1]) / 100
@@ -59,6 +60,15 @@ def test_what_the_certificate_knows_of_the_region_is_shown(found):
     bare = "\n".join(block(with_claim(found, data={"domain_share": 0.25})))
     assert "≥ 25 %" in bare
     assert not re.search("slice|plant|volume|reach", bare)
+
+
+def test_an_invariant_region_is_not_called_one_of_attraction(found):
+    weaker = "the component Ω lies in the domain; Ω is invariant, and z̄ locally stable"
+    head = block(with_claim(found, statement=weaker))[0]
+    assert "solutions stay in it" in head
+    assert "converge" not in head
+    assert attracts(region_claim(found.certificate))
+    assert not attracts(replace(region_claim(found.certificate), holds=False))
 
 
 def test_no_region_is_said_so(found):
