@@ -1,4 +1,4 @@
-"""Write docs/gallery.md from the examples: equations, Casimirs, verdict and closed loop of each.
+"""Write docs/gallery.md from the examples, and the pictures of it and of the README.
 
     python docs/make_gallery.py
 
@@ -7,17 +7,31 @@ Everything on the page comes from a run of the tool; nothing is typed in.
 
 from __future__ import annotations
 
+import shutil
 import tempfile
+from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
 import sympy as sp
 
-from necc_casadi.figures import responses_figure, write_figure
+from necc_casadi import certify, design
+from necc_casadi.figures import (
+    region_boundary,
+    region_figure,
+    responses_figure,
+    write_figure,
+)
 from necc_casadi.model_file import load_model
 from necc_casadi.pipeline import Request, run_design
-from necc_casadi.report import Findings
+from necc_casadi.report import Findings, attracts, region_claim
+from necc_casadi.simulation import simulate
+from necc_casadi.slices import extent
+from necc_casadi.summary import percent, rounded_down
+from necc_casadi.synthesis import Options
 
 DOCS = Path(__file__).parent
+IMAGES = DOCS / "images"
 EXAMPLES = DOCS.parent / "examples"
 #: Targets besides the model file's own.
 TARGETS: dict[str, list[str | None]] = {
@@ -25,20 +39,123 @@ TARGETS: dict[str, list[str | None]] = {
     "cart_pole": [None, "x=1,theta=0,p_x=0,p_theta=0"],
     "tora": [None, "q=0,theta=pi/2,p_q=0,p_theta=0"],
 }
+#: Claims that hold for every design of the tool: said once, not for each plant.
+COMMON = ("casimir", "structure", "slope", "damping", "decrease")
+INTRO = """# Gallery
+
+Each plant is a short model file in `examples/`. This page is written by
+`python docs/make_gallery.py`; nothing on it is typed in.
+
+Every certified design below also has proofs that its Casimirs are Casimirs, that J, R, Jc, Rc, D
+and Dc have the structure that the theory asks for, and that V never increases along the
+continuous-time, unsaturated loop. *Proved region* is a lower bound of the share of the domain,
+momenta at rest, from which every solution converges (*attracts*) or which at least none leaves
+(*invariant*); *simulated* is the share of random states of the same set from which the loop
+converges in simulation, – where the target can only be stable. *Global* is what `--global`
+proves: that every solution converges, from anywhere. Coordinates of a target that are not listed
+are 0.
+
+Why a design is not global: *the invariant sets are not proved …* means that V could stop
+decreasing along a motion that no input and no dissipation feels, or that J, R or G depend on the
+state, which that proof does not cover; the design is then proved to attract locally and to keep Ω
+invariant, no more.
+"""
+HEADER = (
+    "| plant | target | verdict | proved stability | proved region | simulated | limited by "
+    "| global with `--global` |\n|---|---|---|---|---|---|---|---|"
+)
+
+
+@dataclass(frozen=True)
+class Run:
+    """One plant at one target."""
+
+    path: Path
+    number: int
+    found: Findings
+    everywhere: str  # whether --global proves a global claim, or why not
+
+    @property
+    def target(self) -> str:
+        """The coordinates that are not zero, TeX."""
+        parts = [f"{sp.latex(s)} = {sp.latex(v)}" for s, v in self.found.x_star.items() if v != 0]
+        return "$" + ",\\ ".join(parts) + "$" if parts else "the origin"
+
+    @property
+    def picture(self) -> str:
+        """Stem of its pictures."""
+        return f"{self.path.stem}-{self.number}"
 
 
 def main() -> None:
     """Run every example at every target and write the page with its figures."""
-    sections = [section(path) for path in sorted(EXAMPLES.glob("*.py"))]
-    intro = (
-        "# Gallery\n\nEach plant is a short model file in `examples/`. This page is written by "
-        "`python docs/make_gallery.py`.\n"
-    )
-    (DOCS / "gallery.md").write_text("\n".join([intro, *sections]), encoding="utf-8")
+    runs = {path: runs_of(path) for path in sorted(EXAMPLES.glob("*.py"))}
+    table = [HEADER, *[row(run) for some in runs.values() for run in some]]
+    sections = [section(path, some) for path, some in runs.items()]
+    text = "\n".join([INTRO, *table, "", *sections])
+    (DOCS / "gallery.md").write_text(text, encoding="utf-8")
+    readme_pictures()
+    shown = text + (DOCS.parent / "README.md").read_text(encoding="utf-8")
+    for picture in IMAGES.glob("*.png"):
+        if f"images/{picture.name})" not in shown:
+            picture.unlink()
 
 
-def section(path: Path) -> str:
-    """One plant: its equations, then a paragraph per target."""
+def runs_of(path: Path) -> list[Run]:
+    """One plant at all its targets."""
+    result = []
+    for number, target in enumerate(TARGETS.get(path.stem, [None])):
+        with tempfile.TemporaryDirectory() as folder:
+            request = Request(path, Path(folder) / "design", target=target, plots=False)
+            found = run_design(request, lambda _: None)
+        result.append(Run(path, number, found, global_outcome(path, found)))
+    return result
+
+
+def global_outcome(path: Path, found: Findings) -> str:
+    """What the certificate says of a design with ``--global``."""
+    if found.certificate is None:
+        return "–"
+    if found.verdict.stability == "stable":
+        return "no: this target cannot be made to attract"
+    if found.certificate.is_global:
+        return "**yes**, also without `--global`"
+    model = load_model(path)
+    options = Options(convex=True, D=model.D, Dc=model.Dc)
+    made = design(found.loop, found.casimirs, found.verdict, found.x_star, options)
+    certificate = certify(made)
+    if certificate.is_global:
+        return "**yes**"
+    claims = {claim.name: claim.statement for claim in certificate.claims}
+    return "no: " + claims["global"].removeprefix("no global claim: ")
+
+
+def row(run: Run) -> str:
+    """One line of the table."""
+    found, certificate = run.found, run.found.certificate
+    name = found.loop.plant.name
+    link = f"[{name}](#{name.lower().replace(' ', '-')})"
+    if certificate is None:
+        cells = [f"refused: `{found.verdict.reason}`", *["–"] * 5]
+    else:
+        region = region_claim(certificate)
+        proved = region is not None and region.holds
+        share = found.simulated_share
+        kind = "attracts" if proved and attracts(region) else "invariant"
+        aims = certificate.stability == "asymptotic"
+        cells = [
+            "assignable",
+            certificate.stability or "none",
+            f"≥ {percent(certificate.domain_share)}, {kind}" if proved else "none",
+            "–" if not aims else "not known" if share is None else f"{100 * share:.3g} %",
+            certificate.limited_by if proved else "–",
+            run.everywhere,
+        ]
+    return f"| {' | '.join([link, run.target, *cells])} |"
+
+
+def section(path: Path, runs: list[Run]) -> str:
+    """One plant: its equations, then what happens at each target."""
     plant = load_model(path).loop.plant
     rows = [
         f"## {plant.name}\n",
@@ -49,9 +166,7 @@ def section(path: Path) -> str:
         structure = {"J": plant.J, "R": plant.R, "G": plant.G}
         shown = ",\\quad ".join(f"{k} = {sp.latex(sp.Matrix(v))}" for k, v in structure.items())
         rows.append(f"$$x = ({', '.join(map(sp.latex, plant.x))}),\\quad {shown}$$\n")
-    for index, target in enumerate(TARGETS.get(path.stem, [None])):
-        rows.append(outcome(path, target, index))
-    return "\n".join(rows)
+    return "\n".join(rows + [outcome(run) for run in runs])
 
 
 def summary_of(path: Path) -> str:
@@ -59,34 +174,75 @@ def summary_of(path: Path) -> str:
     return path.read_text(encoding="utf-8").split('"""')[1].strip().split("\n")[0]
 
 
-def outcome(path: Path, target: str | None, index: int) -> str:
-    """Casimirs, verdict, and what the closed loop does."""
-    with tempfile.TemporaryDirectory() as folder:
-        out = Path(folder) / "design"
-        found = run_design(Request(path, out, target=target, plots=False), lambda _: None)
-    at = ", ".join(f"{s} = {sp.sstr(v)}" for s, v in found.x_star.items() if v != 0) or "the origin"
+def outcome(run: Run) -> str:
+    """Casimirs, verdict, what is proved, how far Ω reaches, and what the closed loop does."""
+    found = run.found
     casimirs = "; ".join(f"${sp.latex(c)}$" for c in found.casimirs.functions) or "none"
     rows = [
-        f"**Target {at}.** Casimirs: {casimirs} ({len(found.casimirs.functions)} of "
-        f"{found.casimirs.generic_count}). {verdict_text(found)}\n"
+        f"### {found.loop.plant.name}, target {run.target}\n",
+        f"- Casimirs: {casimirs} ({len(found.casimirs.functions)} of "
+        f"{found.casimirs.generic_count})",
+        f"- Verdict: {verdict_text(found)}",
     ]
-    if found.design is not None:
-        name = f"{path.stem}-{index}.png"
-        figure = responses_figure(found.design, found.responses)
-        write_figure(figure, DOCS / "images" / name, dpi=70)
-        held = [c.statement for c in found.certificate.claims if c.holds and c.name != "casimir"]
-        rows += [f"Proved: {'; '.join(held)}.\n", f"![closed-loop responses](images/{name})\n"]
+    if found.design is None or found.certificate is None:
+        return "\n".join(rows) + "\n"
+    for claim in found.certificate.claims:
+        if claim.name not in (*COMMON, "global"):
+            rows.append(f"- {'Proved' if claim.holds else '**Not proved**'}: {claim.statement}")
+    rows.append(f"- Global with `--global`: {run.everywhere}\n")
+    pictures = {"closed-loop responses": responses_figure(found.design, found.responses)}
+    level = found.certificate.level
+    if level is not None:
+        rows.append(reach(found, level) + "\n")
+        starts = region_boundary(found.design, level)
+        pictures["proved region"] = region_figure(
+            found.design, level, [simulate(found.design, x0) for x0 in starts]
+        )
+    for name, figure in pictures.items():
+        picture = f"{run.picture}-{name.split()[-1]}.png"
+        write_figure(figure, IMAGES / picture, dpi=70)
+        rows.append(f"![{found.loop.plant.name}: {name}](images/{picture})\n")
     return "\n".join(rows)
+
+
+def reach(found: Findings, level: float) -> str:
+    """A table of how far Ω reaches in each state."""
+    made, units = found.design, found.loop.plant.units
+    proved = region_claim(found.certificate).data
+    lines = ["| state | target | Ω reaches (computed) | proved at least |", "|---|---|---|---|"]
+    for name, star, (low, high) in zip(
+        made.loop.states, made.z_star, extent(made, level), strict=True
+    ):
+        half = proved.get(f"reach_{name}")
+        sure = "–" if half is None else f"± {rounded_down(half)} around z̄"
+        unit = f" [{units[name]}]" if name in units else ""
+        star = 0.0 if np.isclose(star, 0, atol=1e-12) else star
+        lines.append(f"| {name}{unit} | {star:.4g} | {low:.3g} … {high:.3g} | {sure} |")
+    return "\n".join(lines)
 
 
 def verdict_text(found: Findings) -> str:
     """The verdict in one sentence."""
     verdict = found.verdict
     if not verdict.assignable:
-        return f"Verdict: **{verdict.reason}**. {verdict.explanation}"
+        return f"**{verdict.reason}**. {verdict.explanation}"
     ceiling = "no ceiling on a" if verdict.a_max is None else f"a below {verdict.a_max:.3g}"
     witness = f" ({verdict.witness})" if verdict.witness else ""
-    return f"Verdict: **assignable**, {ceiling}, best class: {verdict.stability}{witness}."
+    return f"**assignable**, {ceiling}, best class: {verdict.stability}{witness}"
+
+
+def readme_pictures() -> None:
+    """The README's pictures: the pendulum as it is designed there."""
+    with tempfile.TemporaryDirectory() as folder:
+        for paper, names in ((False, ("lyapunov", "region", "responses")), (True, ("sweep",))):
+            sweep = (0.1, 1.0, 10) if paper else None
+            out = Path(folder) / f"design-{paper}"
+            model = EXAMPLES / "pendulum.py"
+            run_design(
+                Request(model, out, target="pi/4", paper=paper, sweep_a=sweep), lambda _: None
+            )
+            for name in names:
+                shutil.copyfile(out / "figures" / f"{name}.png", IMAGES / f"pendulum-{name}.png")
 
 
 if __name__ == "__main__":

@@ -147,8 +147,9 @@ class Design:
         try:
             text = path.read_text(encoding="utf-8")
         except (OSError, UnicodeDecodeError) as problem:
+            reason = problem.strerror if isinstance(problem, OSError) else "not UTF-8 text"
             raise OutputError(
-                "output", f"{path} cannot be read: {problem}", "Name a folder of necc-design."
+                "output", f"{path} cannot be read: {reason}", "Name a folder of necc-design."
             ) from None
         return cls.from_text(text, str(path))
 

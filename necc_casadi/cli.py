@@ -13,7 +13,7 @@ import click
 
 from necc_casadi import __version__
 from necc_casadi.errors import OptionError
-from necc_casadi.terminal import GroupedCommand, Progress, grouped, run
+from necc_casadi.terminal import GroupedCommand, NamedPath, Progress, columns, grouped, run
 
 if TYPE_CHECKING:  # heavy packages are imported where they are used: --help stays instant
     from necc_casadi.artifact import Design
@@ -82,7 +82,7 @@ _output = grouped("Output")
 
 
 @click.command("necc-design", cls=GroupedCommand)
-@click.argument("model", type=click.Path(path_type=Path))
+@click.argument("model", type=NamedPath())
 @_task(
     "--target",
     metavar="TARGET",
@@ -168,16 +168,14 @@ _output = grouped("Output")
     callback=_numbers,
     help="Dc, likewise.  [default: chosen]",
 )
-@_output(
-    "--out", type=click.Path(path_type=Path), help="Folder to write.  [default: <model>-design]"
-)
+@_output("--out", type=NamedPath(), help="Folder to write.  [default: <model>-design]")
 @_output("--json", "as_json", is_flag=True, help="One JSON object on stdout, nothing else there.")
 @_output("--no-plots", is_flag=True, help="Draw no figures.")
 @_output(
     "--sweep-a",
     metavar="LO:HI:N",
     callback=_range,
-    help="Also design for N values of a and draw distance and bounds against a.",
+    help="Also design and certify for N values of a; draw distance, bounds and region against a.",
 )
 @_output(
     "--real",
@@ -216,14 +214,20 @@ def _design(model: Path, **options: Any) -> int:
     \b
     Exit codes:
       0  every claim is proved (with --check: the target is assignable)
+      1  a fault of this program
       2  bad usage, model file or target
       3  refused with a proof: not assignable with this controller structure
       4  undecided, or the solver or a certificate fell short; results are kept
+      130  interrupted
+
+    With --json, 1, 2 and 130 print {"status": "error", "error": {"code": …, "message": …}}; the
+    code word of 1 is internal, that of 130 interrupted.
     """
     progress = Progress()
     with progress.shown():
         from necc_casadi.pipeline import Request, run_design
-        from necc_casadi.report import summary, to_json
+        from necc_casadi.report import to_json
+        from necc_casadi.summary import summary
 
         form = (
             "hidden_k",
@@ -263,12 +267,12 @@ def _design(model: Path, **options: Any) -> int:
     if options["as_json"]:
         click.echo(json.dumps(to_json(found), ensure_ascii=False, allow_nan=False))
     else:
-        click.echo(summary(found))
+        click.echo(summary(found, columns()))
     return found.exit_code
 
 
 @click.command("necc-simulate", cls=GroupedCommand)
-@click.argument("out", type=click.Path(path_type=Path))
+@click.argument("out", type=NamedPath())
 @_task(
     "--x0",
     metavar="NUMBERS",
@@ -292,10 +296,10 @@ def _design(model: Path, **options: Any) -> int:
 )
 @_output(
     "--csv",
-    type=click.Path(path_type=Path, dir_okay=False),
+    type=NamedPath(dir_okay=False),
     help="Write the response to a CSV file (- for stdout).",
 )
-@_output("--plot", type=click.Path(path_type=Path, dir_okay=False), help="Draw it to a PNG file.")
+@_output("--plot", type=NamedPath(dir_okay=False), help="Draw it to a PNG file.")
 @_output("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
 @_output("--debug", is_flag=True, help="Show tracebacks.")
 @click.version_option(__version__, prog_name="necc-simulate")
@@ -321,8 +325,8 @@ def _simulate(out: Path, **options: Any) -> int:
         if options[key] is not None and len(options[key]) != len(states):
             raise OptionError(
                 "usage",
-                f"--{key} has {len(options[key])} values, but there are {len(states)} states",
-                f"Give {len(states)}: {', '.join(states)}.",
+                f"--{key}: {len(states)} number(s) are needed, not {len(options[key])}",
+                f"Give one for each of {', '.join(states)}.",
             )
     x0 = options["x0"] or tuple((made.z_star + domain_box(made)[1])[:n] / 2)
     xi0 = options["xi0"] or tuple(made.xi_star)
@@ -373,7 +377,7 @@ def _response_text(made: Design, response: Trajectory) -> str:
 
 
 @click.command("necc-certify", cls=GroupedCommand)
-@click.argument("out", type=click.Path(path_type=Path))
+@click.argument("out", type=NamedPath())
 @_output("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
 @_output("--debug", is_flag=True, help="Show tracebacks.")
 @click.version_option(__version__, prog_name="necc-certify")

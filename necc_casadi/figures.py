@@ -1,20 +1,23 @@
-"""Figures: V around the target, closed-loop responses, distance and bounds against a."""
+"""Figures: V around the target, the proved region, closed-loop responses, designs against a."""
 
 from __future__ import annotations
 
 import io
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
 from necc_casadi.artifact import Design, write_text
 from necc_casadi.networks import Vector
-from necc_casadi.simulation import Trajectory, domain_box
+from necc_casadi.simulation import Trajectory
+from necc_casadi.slices import Window, domain_window, shadow, slice_boundary, slice_values
 
 __all__ = [
     "SweepPoint",
@@ -26,20 +29,27 @@ __all__ = [
     "write_figure",
 ]
 
-_INK, _TARGET, _MINIMUM = "#1f4e79", "#d9730d", "#2e7d32"
-_GRID = 81
+_INK, _TARGET, _MINIMUM, _UNSETTLED = "#1f4e79", "#d9730d", "#2e7d32", "#a8324a"
 _MOST_PANELS = 10
+#: Where no proved share exceeds this, shares are drawn on a logarithmic axis.
+_SMALL_SHARE = 0.02
 
 
 @dataclass(frozen=True)
 class SweepPoint:
-    """What one value of a gave (the paper's third figure)."""
+    """What one value of a gave: the paper's third figure, and the proved region.
+
+    Shares are of the domain, momenta at rest.
+    """
 
     a: float
     loss: float  # ε
     distance: float  # ‖z̄ − z*‖
     bound_paper: float | None  # ε/(a − ε), None where a ≤ ε
     bound_rigorous: float | None  # g/μ, None where nothing was proved
+    domain_share: float | None = None  # at least this much is proved; None: no region is
+    simulated_share: float | None = None  # converges in simulation; None: not known
+    limited_by: str | None = None  # what keeps the proved region from growing
 
 
 def write_figure(figure: Figure, path: Path, dpi: int = 120) -> Path:
@@ -56,30 +66,11 @@ def _label(design: Design, index: int) -> str:
     return f"{name} [{unit}]" if unit else name
 
 
-def _telling_pair(design: Design) -> tuple[int, int]:
-    """The two plant states that a plot of V should show.
-
-    First the state along which the plant's own energy is least convex: what the design changed.
-    Then the one with the largest curvature of V among the rest.
-    """
-    n = design.loop.plant.n
-    hessian = np.asarray(design.lyapunov.hessian(design.z_bar), float)[:n, :n]
-    if n == 1:
-        return 0, n
-    import casadi as ca
-
-    x = ca.MX.sym("x", n)
-    own = ca.Function("own", [x], [ca.hessian(design.lyapunov.terms.H(x), x)[0]])
-    change = np.diag(hessian) - np.diag(np.asarray(own(design.z_bar[:n]), float))
-    first = int(np.argmax(np.abs(change)))
-    order = [i for i in np.argsort(-np.diag(hessian)) if i != first]
-    return first, int(order[0])
-
-
 def lyapunov_figure(design: Design) -> Figure:
     """V over two coordinates through ξ*, as a surface and as contours, with both minima marked."""
-    i, j = _telling_pair(design)
-    A, B, values = _slice(design, i, j)
+    window = domain_window(design)
+    i, j = window.pair
+    A, B, values = slice_values(design, window)
 
     figure = Figure(figsize=(10, 4.4), layout="constrained")
     figure.suptitle(f"{design.loop.plant.name}: Lyapunov function at ξ = ξ*")
@@ -93,21 +84,12 @@ def lyapunov_figure(design: Design) -> Figure:
 
     flat = figure.add_subplot(1, 2, 2)
     lines = flat.contour(A, B, values, levels=_levels(values), cmap="viridis")
-    flat.clabel(lines, fontsize=7, fmt="%.2g")
+    labelled = _levels(values)[2::2]  # apart from the marks
+    flat.clabel(lines, levels=labelled, fontsize=7, fmt="%.2g")
     _mark_minima(design, flat, i, j)
-    flat.legend(loc="upper right", framealpha=0.9)
+    figure.legend(*flat.get_legend_handles_labels(), loc="outside lower right", ncols=2, fontsize=8)
     flat.set_title("contours of V − V(z̄)", fontsize=10)
     return figure
-
-
-def _slice(design: Design, i: int, j: int) -> tuple[Vector, Vector, Vector]:
-    """Grid over coordinates i and j of the domain, and V − V(z̄) there, the others at z*."""
-    lo, hi = domain_box(design)
-    A, B = np.meshgrid(np.linspace(lo[i], hi[i], _GRID), np.linspace(lo[j], hi[j], _GRID))
-    points = np.repeat(design.z_star[:, None], A.size, axis=1)
-    points[i], points[j] = A.ravel(), B.ravel()
-    values = np.asarray(design.lyapunov.V.map(A.size)(points), float).reshape(A.shape)
-    return A, B, values - design.V(design.z_bar)
 
 
 def _mark_minima(design: Design, axis: Axes, i: int, j: int) -> None:
@@ -121,49 +103,62 @@ def _mark_minima(design: Design, axis: Axes, i: int, j: int) -> None:
 
 def region_boundary(design: Design, level: float, count: int = 12) -> list[Vector]:
     """Plant states on the boundary of {V ≤ level} in the plane that the figures show, ξ = ξ*."""
-    i, j = _telling_pair(design)
-    path = _around_minimum(design, level, i, j)
+    window = _window(design, level)[0]
+    path = slice_boundary(design, level, window)
     if path is None:
         return []
     states = np.repeat(design.z_star[None, :], count, axis=0)
-    states[:, [i, j]] = path[np.linspace(0, len(path) - 1, count, endpoint=False).astype(int)]
+    way = np.concatenate([[0.0], np.cumsum(np.hypot(*(np.diff(path, axis=0) / np.ptp(path, 0)).T))])
+    at = np.linspace(0, way[-1], count, endpoint=False)
+    states[:, list(window.pair)] = np.stack([np.interp(at, way, side) for side in path.T], -1)
     return list(states[:, : design.loop.plant.n])
 
 
-def _around_minimum(design: Design, level: float, i: int, j: int) -> Vector | None:
-    """The closed curve V = level around z̄ in the plane of coordinates i and j, (k, 2)."""
-    from matplotlib.path import Path as Curve
-
-    A, B, values = _slice(design, i, j)
-    lines = Figure().add_subplot().contour(A, B, values, levels=[level - design.V(design.z_bar)])
-    for segment in lines.allsegs[0]:
-        curve = np.asarray(segment, float)
-        closed = len(curve) > 3 and np.array_equal(curve[0], curve[-1])
-        if closed and Curve(curve).contains_point((design.z_bar[i], design.z_bar[j])):
-            return curve
-    return None
+@lru_cache(maxsize=4)
+def _window(design: Design, level: float) -> tuple[Window, Vector]:
+    """The part of the domain around Ω, and Ω's shadow in it."""
+    domain = domain_window(design)
+    edge = shadow(design, level, domain)
+    return domain.around(edge), edge
 
 
 def region_figure(design: Design, level: float, responses: Sequence[Trajectory]) -> Figure:
-    """The proved region {V ≤ level} over V's contours, with responses from its boundary."""
-    i, j = _telling_pair(design)
-    A, B, values = _slice(design, i, j)
-    top = level - design.V(design.z_bar)
-    figure = Figure(figsize=(6.4, 5.2), layout="constrained")
+    """The proved region over V's contours: its slice at z*, its shadow, responses from the slice.
+
+    Responses leave the slice because ξ moves, but not the shadow.
+    """
+    window, edge = _window(design, level)
+    i, j = window.pair
+    A, B, values = slice_values(design, window)
+    figure = Figure(figsize=(6.4, 5.6), layout="constrained")
     axis = figure.add_subplot()
     axis.contour(A, B, values, levels=_levels(values), cmap="viridis", linewidths=0.7, alpha=0.6)
-    curve = _around_minimum(design, level, i, j)
+    axis.fill(*edge.T, color=_MINIMUM, alpha=0.10, label="Ω seen over all other states (computed)")
+    axis.plot(*np.vstack([edge, edge[:1]]).T, "--", color=_MINIMUM, lw=1)
+    curve = slice_boundary(design, level, window)
     if curve is not None:
-        axis.fill(curve[:, 0], curve[:, 1], color=_MINIMUM, alpha=0.12)
-        axis.plot(*curve.T, color=_MINIMUM, lw=2, label=f"proved: V − V(z̄) ≤ {top:.3g}")
+        axis.fill(*curve.T, color=_MINIMUM, alpha=0.15)
+        top = level - design.V(design.z_bar)
+        proved = f"proved: V − V(z̄) ≤ {top:.3g}, other states at z*"
+        axis.plot(*curve.T, color=_MINIMUM, lw=2, label=proved)
     for index, response in enumerate(responses):
-        label = "simulated from the boundary, ξ(0) = ξ*" if index == 0 else None
-        axis.plot(response.z[:, i], response.z[:, j], lw=0.9, color=_INK, label=label)
-        axis.plot(response.z[0, i], response.z[0, j], ".", color=_INK)
+        label = "simulated from that boundary" if index == 0 else None
+        axis.plot(*response.z[:, [i, j]].T, lw=0.8, color=_INK, alpha=0.8, label=label)
+        axis.plot(*response.z[0, [i, j]], ".", color=_INK)
     _mark_minima(design, axis, i, j)
+    axis.set_xlim(window.lo[0], window.hi[0])
+    axis.set_ylim(window.lo[1], window.hi[1])
     figure.legend(loc="outside lower center", ncols=2, fontsize=8)
-    axis.set_title(f"{design.loop.plant.name}: proved region at ξ = ξ*", fontsize=11)
+    title = f"{design.loop.plant.name}: proved region Ω"
+    axis.set_title(f"{title}\ndomain: {_extent(design)}", fontsize=10)  # Ω may be a small part
     return figure
+
+
+def _extent(design: Design) -> str:
+    """The domain in words, for the two states that are shown."""
+    whole = domain_window(design)
+    sides = zip(whole.pair, whole.lo, whole.hi, strict=True)
+    return ", ".join(f"{design.loop.states[k]} from {lo:.3g} to {hi:.3g}" for k, lo, hi in sides)
 
 
 def _levels(values: Vector) -> Vector:
@@ -179,19 +174,21 @@ def responses_figure(design: Design, trajectories: Sequence[Trajectory]) -> Figu
     names = [_label(design, k) for k in shown]
     inputs = min(design.loop.plant.m, _MOST_PANELS)
     panels = len(names) + inputs + 1
-    columns = min(3, panels)
+    columns = min((3, 4), key=lambda number: -panels % number)  # the fewest gaps
     rows = -(-panels // columns)
     figure = Figure(figsize=(3.6 * columns, 2.1 * rows + 0.5), layout="constrained")
     total = len(design.loop.states)
     left_out = f" ({len(shown)} of {total} states)" if len(shown) < total else ""
-    figure.suptitle(f"{design.loop.plant.name}: closed-loop responses{left_out}")
+    figure.suptitle(f"{design.loop.plant.name}: closed-loop responses, targets dashed{left_out}")
     axes = figure.subplots(rows, columns, squeeze=False, sharex=True).ravel()
     steady, _ = design.control(
         design.z_bar[: design.loop.plant.n], design.z_bar[design.loop.plant.n :]
     )
     for k, axis in enumerate(axes[:panels]):
         for response in trajectories:
-            axis.plot(response.t, _panel(response, k, shown, inputs), lw=0.9, color=_INK, alpha=0.7)
+            color = _INK if response.converged else _UNSETTLED
+            values = _panel(response, k, shown, inputs)
+            axis.plot(response.t, values, lw=0.9, color=color, alpha=0.7)
         if k < len(names):
             axis.axhline(design.z_star[shown[k]], ls="--", lw=1, color=_TARGET)
             axis.set_ylabel(names[k])
@@ -201,6 +198,17 @@ def responses_figure(design: Design, trajectories: Sequence[Trajectory]) -> Figu
         else:
             _decay_axis(axis)
         axis.grid(alpha=0.25)
+    outcomes = {response.converged for response in trajectories}
+    if False in outcomes:
+        lines = [
+            Line2D([], [], color=color, label=label)
+            for settled, color, label in (
+                (True, _INK, "settles within 2 %"),
+                (False, _UNSETTLED, "does not settle in this time"),
+            )
+            if settled in outcomes
+        ]
+        figure.legend(handles=lines, loc="outside lower center", ncols=2, fontsize=8)
     for axis in axes[panels:]:
         axis.remove()
     for k in range(max(0, panels - columns), panels):
@@ -238,23 +246,63 @@ def _decay_axis(axis: Axes) -> None:
 
 
 def sweep_figure(design: Design, points: Sequence[SweepPoint]) -> Figure:
-    """‖z̄ − z*‖ and its two bounds against a (the paper's third figure)."""
-    figure = Figure(figsize=(6.4, 4.2), layout="constrained")
-    axis = figure.add_subplot()
-    a = [p.a for p in points]
+    """Against a: ‖z̄ − z*‖ with its two bounds; below, how much of the domain is proved."""
+    figure = Figure(figsize=(6.4, 7.0), layout="constrained")
+    figure.suptitle(f"{design.loop.plant.name}: designs against a", fontsize=11)
+    upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
+    _distances(upper, points, float(np.spacing(np.linalg.norm(design.z_star))))
+    _shares(lower, points)
+    ceiling = design.verdict.a_max
+    for axis in (upper, lower):
+        axis.grid(alpha=0.25)
+        if ceiling is not None and max(p.a for p in points) > ceiling:
+            right = axis.get_xlim()[1]
+            axis.axvspan(ceiling, right, color=_TARGET, alpha=0.08, lw=0, label="a above a_max")
+            axis.set_xlim(right=right)
+        axis.legend(fontsize=8)
+    lower.set_xlabel("a, curvature asked of ∇²V(z*)")
+    return figure
+
+
+def _distances(axis: Axes, points: Sequence[SweepPoint], rounding: float) -> None:
+    """Distance and bounds; what is smaller than one rounding of z* lies in a band of its own."""
     series = (
         ("paper's bound ε/(a − ε)", [p.bound_paper for p in points], "s--", _TARGET),
         ("proved bound g/μ", [p.bound_rigorous for p in points], "^-", _MINIMUM),
         ("distance ‖z̄ − z*‖", [p.distance for p in points], "o-", _INK),
     )
-    floor = 1e-17
     for label, values, style, color in series:
-        shown = [np.nan if v is None else max(v, floor) for v in values]
-        axis.plot(a, shown, style, color=color, label=label, ms=5, lw=1.2)
+        shown = [np.nan if v is None else max(v, rounding / 4) for v in values]
+        axis.plot([p.a for p in points], shown, style, color=color, label=label, ms=5, lw=1.2)
     axis.set_yscale("log")
-    axis.set_xlabel("a, curvature asked of ∇²V(z*)")
-    axis.set_ylabel("distance")
-    axis.set_title(f"{design.loop.plant.name}: equilibrium assignment against a", fontsize=11)
-    axis.grid(alpha=0.25, which="both")
-    axis.legend()
-    return figure
+    if axis.get_ylim()[0] < rounding:
+        axis.set_ylim(bottom=rounding / 16)
+        axis.axhspan(rounding / 16, rounding, color="0.92", label="0 within one rounding of z*")
+    axis.set_ylabel("distance from the target")
+
+
+def _shares(axis: Axes, points: Sequence[SweepPoint]) -> None:
+    """Proved beside simulated; a cross on the axis where no region is proved."""
+    a = [p.a for p in points]
+    series = (
+        ("converges in simulation", [p.simulated_share for p in points], "o-", _INK),
+        ("proved region, at least", [p.domain_share for p in points], "^-", _MINIMUM),
+    )
+    for label, values, style, color in series:
+        shown = [np.nan if v is None else 100 * v for v in values]
+        if not np.isnan(shown).all():
+            axis.plot(a, shown, style, color=color, label=label, ms=5, lw=1.2)
+    proved = [p.domain_share for p in points if p.domain_share]
+    if proved and max(proved) < _SMALL_SHARE:  # on a linear axis all of them would look like 0
+        axis.set_yscale("log")
+        axis.set_ylim(top=200)
+    else:
+        axis.set_ylim(0, 105)
+    missing = [p.a for p in points if p.domain_share is None]
+    if missing:
+        at_bottom = axis.get_xaxis_transform()
+        axis.plot(
+            missing, [0.0] * len(missing), "x", color=_TARGET, ms=8, mew=2, transform=at_bottom,
+            clip_on=False, label="no region proved",
+        )  # fmt: skip
+    axis.set_ylabel("share of the domain [%],\nmomenta at rest")

@@ -10,6 +10,7 @@ import sys
 import traceback
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
@@ -35,6 +36,8 @@ _OPTIONAL = (
     "params", "xi", "Jc", "Rc", "Gc", "casimirs", "target", "domain", "D", "Dc", "u_limits",
     "units", "name",
 )  # fmt: skip
+#: Names at least this long are compared with what the file defines; alike from this ratio on.
+_LONG, _ALIKE = 4, 0.8
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,6 +49,7 @@ class Model:
     target: Mapping[str, sp.Expr] | None = None  # state -> value
     D: Vector | None = None  # m × m
     Dc: Vector | None = None  # m × m
+    notes: tuple[str, ...] = ()  # names in the file that look mistyped
 
 
 def load_model(path: str | Path, overrides: Mapping[str, str] | None = None) -> Model:
@@ -73,7 +77,7 @@ def load_model(path: str | Path, overrides: Mapping[str, str] | None = None) -> 
             "A model file defines x, J, R, G and H with sympy.",
         )
     try:
-        return _build(path, space, overrides or {})
+        return replace(_build(path, space, overrides or {}), notes=_mistyped(space))
     except InputError:
         raise
     except (TypeError, ValueError, AttributeError, KeyError, IndexError) as problem:
@@ -116,6 +120,21 @@ def _execute(path: Path) -> dict[str, Any]:
     finally:
         sys.path.remove(str(path.resolve().parent))
     return space
+
+
+def _mistyped(space: Mapping[str, Any]) -> tuple[str, ...]:
+    """Names that nothing reads, though they look like an optional name that the file lacks."""
+    absent = [name for name in _OPTIONAL if name not in space and len(name) >= _LONG]
+    near = {
+        name: get_close_matches(name, absent, n=1, cutoff=_ALIKE)
+        for name in space
+        if name not in (*_REQUIRED, *_OPTIONAL) and not name.startswith("_")
+    }
+    return tuple(
+        f"the model file's {name} is not read: did you mean {meant[0]}?"
+        for name, meant in near.items()
+        if meant
+    )
 
 
 def _build(path: Path, space: dict[str, Any], overrides: Mapping[str, str]) -> Model:

@@ -222,23 +222,29 @@ class _Making:
             self.found.notes.append(sampling.warning)
 
     def sweep(self, values: tuple[float, float, int]) -> None:
-        """One design for each value of a, in the same form."""
-        points = []
+        """One design for each value of a, in the same form, with what is proved about it."""
         with self.stage("sweep", "sweeping a"):
-            for index, a in enumerate(np.linspace(*values)):
-                self.say(f"sweeping a: {index + 1} of {values[2]}")
-                made = self.train(replace(self.options, a=float(a), keep_a=True))
-                block = design_block(made, certify(made, region=False))
-                points.append(
-                    SweepPoint(
-                        a=float(a),
-                        loss=block["loss"],
-                        distance=block["distance"],
-                        bound_paper=block["bound_paper"],
-                        bound_rigorous=block["bound_rigorous"],
-                    )
-                )
-        self.found.sweep = points
+            self.found.sweep = [
+                self.swept(float(a), f"sweeping a: {index + 1} of {values[2]}")
+                for index, a in enumerate(np.linspace(*values))
+            ]
+
+    def swept(self, a: float, progress: str) -> SweepPoint:
+        """The design for one value of a, its certificate and its simulated share."""
+        self.say(progress)
+        made = self.train(replace(self.options, a=a, keep_a=True))
+        certificate = certify(made, report=lambda stage, _: self.say(f"{progress}, {stage}"))
+        block = design_block(made, certificate)
+        return SweepPoint(
+            a=a,
+            loss=block["loss"],
+            distance=block["distance"],
+            bound_paper=block["bound_paper"],
+            bound_rigorous=block["bound_rigorous"],
+            domain_share=certificate.domain_share,
+            simulated_share=simulated_share(made, quadratic_states(made), made.seed),
+            limited_by=certificate.limited_by,
+        )
 
     def draw(self, made: Design) -> None:
         """The figures."""
@@ -351,7 +357,7 @@ def _notes(model: Model, casimirs: Casimirs) -> list[str]:
         for p in model.loop.properties
         if not p.proved
     ]
-    return notes + ([casimirs.note] if casimirs.note else [])
+    return [*model.notes, *notes, *([casimirs.note] if casimirs.note else [])]
 
 
 def check_writable(folder: Path) -> None:

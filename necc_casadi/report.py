@@ -1,4 +1,4 @@
-"""What a run found, as the JSON of the contract and as a page of plain text."""
+"""What a run found, and the JSON of the contract."""
 
 from __future__ import annotations
 
@@ -13,22 +13,17 @@ import sympy as sp
 from necc_casadi.artifact import Design
 from necc_casadi.assignability import Verdict
 from necc_casadi.casimirs import Casimirs
-from necc_casadi.certificate import Certificate
+from necc_casadi.certificate import Certificate, Claim
 from necc_casadi.export import Sampling
 from necc_casadi.expressions import to_text
 from necc_casadi.figures import SweepPoint
-from necc_casadi.learned import Residual
 from necc_casadi.loop import ClosedLoop
 from necc_casadi.simulation import Trajectory
 
-__all__ = ["Findings", "design_block", "summary", "to_json"]
+__all__ = ["Findings", "attracts", "design_block", "region_claim", "to_json"]
 
 #: A design whose ε is above this fell short, whatever else is proved.
 ACCEPTED_LOSS = 1e-6
-#: Claims that no exit code rests on.
-_OPTIONAL_CLAIMS = ("global", "input_limits")
-#: Lists of more states than this are shortened in the text, never in the JSON.
-_MANY = 12
 
 
 @dataclass
@@ -161,7 +156,18 @@ def _verdict(verdict: Verdict, casimirs: Casimirs) -> dict[str, Any]:
     }
 
 
+def region_claim(certificate: Certificate) -> Claim | None:
+    """The claim about the region, whose data are lower bounds of what it covers."""
+    return next((claim for claim in certificate.claims if claim.name == "region"), None)
+
+
+def attracts(region: Claim) -> bool:
+    """Whether a proved region is one of attraction; otherwise it is invariant, no more."""
+    return region.holds and "every solution" in region.statement
+
+
 def _certificate(certificate: Certificate, simulated_share: float | None) -> dict[str, Any]:
+    region = region_claim(certificate)
     return {
         "claims": [
             {"name": c.name, "holds": c.holds, "statement": c.statement} for c in certificate.claims
@@ -170,6 +176,9 @@ def _certificate(certificate: Certificate, simulated_share: float | None) -> dic
         "level_u": certificate.level_u,
         "limited_by": certificate.limited_by,
         "domain_share": certificate.domain_share,
+        "shares": None
+        if region is None or not region.holds
+        else {key: size for key, size in region.data.items() if isinstance(size, float)},
         "simulated_share": simulated_share,
         "global": certificate.is_global,
     }
@@ -192,169 +201,3 @@ def _finite(value: Any) -> Any:
     if isinstance(value, (float, np.floating)):
         return float(value) if math.isfinite(value) else None
     return value
-
-
-# --- plain text -----------------------------------------------------------------------------
-
-
-def summary(found: Findings) -> str:
-    """A page that says what was found, proved and written."""
-    loop, verdict, casimirs = found.loop, found.verdict, found.casimirs
-    lines = [f"{loop.plant.name}: {_outcome(found)}", ""]
-    rows = [("target", _target(found))]
-    if casimirs is not None:
-        rows.append(("Casimirs", _casimirs(casimirs)))
-    if verdict is not None:
-        rows.append(("verdict", _verdict_text(verdict)))
-    if found.design is not None:
-        rows += _design_rows(found.design, found.certificate)
-    if found.design is not None and found.design.learned is not None:
-        rows.append(("learned", _learned(found.design.learned)))
-    if found.responses:
-        rows.append(("responses", _responses(found)))
-    if found.sampling is not None:
-        rows.append(("sampled", _sampled(found.sampling)))
-    if found.certificate is not None:
-        for claim in found.certificate.claims:
-            missing = "open" if claim.name in _OPTIONAL_CLAIMS else "NOT proved"
-            mark = "proved" if claim.holds else missing
-            rows.append((mark, f"{claim.name}: {claim.statement}"))
-    rows += [("note", note) for note in found.notes]
-    if found.files:
-        rows.append(("written", ", ".join(found.files)))
-    if found.timings:
-        rows.append(("seconds", ", ".join(f"{k} {v:.2g}" for k, v in found.timings.items())))
-    return "\n".join(lines + [_wrapped(label, text) for label, text in rows])
-
-
-def _wrapped(label: str, text: str, width: int = 98, indent: int = 14) -> str:
-    import textwrap
-
-    return textwrap.fill(
-        text,
-        width=width,
-        initial_indent=f"  {label:<{indent - 2}}",
-        subsequent_indent=" " * indent,
-        break_long_words=False,
-        break_on_hyphens=False,
-    )
-
-
-def _outcome(found: Findings) -> str:
-    certificate = found.certificate
-    if found.status == "certified" and certificate is not None:
-        kind = "asymptotically stable" if certificate.stability == "asymptotic" else "only stable"
-        return f"certified, {kind}"
-    return {
-        "assignable": "the target is assignable",
-        "refused": "refused, with proof",
-        "undecided": "undecided",
-        "fell_short": "fell short: not every claim is proved",
-    }[found.status]
-
-
-def _target(found: Findings) -> str:
-    parts = []
-    many = found.loop.plant.n > _MANY
-    for symbol in found.loop.plant.x:
-        value = found.x_star[symbol]
-        if many and value == 0:
-            continue
-        unit = found.loop.plant.units.get(str(symbol), "")
-        decimal = "" if value.is_Integer else f" = {float(sp.N(value)):.6g}"
-        parts.append(f"{symbol} = {sp.sstr(value)}{decimal}{' ' + unit if unit else ''}")
-    if many:
-        return f"{', '.join(parts[:_MANY])}{', …' if len(parts) > _MANY else ''}; zeros not listed"
-    return ", ".join(parts)
-
-
-def _casimirs(casimirs: Casimirs) -> str:
-    listed = "; ".join(to_text(c) for c in casimirs.functions) or "none"
-    return (
-        f"{listed}   ({len(casimirs.functions)} found of {casimirs.generic_count} that exist; "
-        f"kernel rank {casimirs.kernel_rank})"
-    )
-
-
-def _verdict_text(verdict: Verdict) -> str:
-    ceiling = "no ceiling on a" if verdict.a_max is None else f"a_max = {verdict.a_max:.4g}"
-    if verdict.assignable:
-        parts = [f"assignable; {ceiling}"]
-        if verdict.stability:
-            parts.append(f"best stability class: {verdict.stability}")
-        if verdict.witness:
-            parts.append(verdict.witness)
-        return "; ".join(parts)
-    return f"{verdict.reason}: {verdict.explanation}"
-
-
-def _design_rows(design: Design, certificate: Certificate | None) -> list[tuple[str, str]]:
-    block = design_block(design, certificate)
-    names = design.loop.controller.states
-    xi = ", ".join(f"{n}* = {v:.6g}" for n, v in zip(names, design.xi_star, strict=True))
-    best = min(design.starts, key=lambda s: s.loss)
-    paper, rigorous = block["bound_paper"], block["bound_rigorous"]
-    bounds = (
-        f"ε/(a − ε) = {paper:.2g}" if paper is not None else "ε/(a − ε) is no bound (ε ≥ a)"
-    ) + (f", proved ≤ {rigorous:.2g}" if rigorous is not None else ", no proved bound")
-    z_bar = ", ".join(f"{v:.6g}" for v in design.z_bar[:_MANY])
-    z_bar += ", …" if len(design.z_bar) > _MANY else ""
-    return [
-        (
-            "design",
-            f"{xi}; loss ε = {block['loss']:.2g} at a = {design.a:.4g}; IPOPT: "
-            f"{best.explained.meaning}, {best.iterations} iterations, "
-            f"{sum(s.seconds for s in design.starts):.3f} s in {len(design.starts)} start(s)",
-        ),
-        ("minimum", f"z̄ = ({z_bar}); ‖z̄ − z*‖ = {block['distance']:.2g}; {bounds}"),
-        (
-            "loop",
-            f"D = {_matrix(design.D)}, Dc = {_matrix(design.Dc)}; spectral abscissa "
-            f"{block['spectral_abscissa']:.4g} 1/s; least eigenvalue of ∇²V(z̄) "
-            f"{block['hessian_min_eig']:.4g}",
-        ),
-    ]
-
-
-def _sampled(sampling: Sampling) -> str:
-    limit = (
-        "no largest stable sample time was found"
-        if sampling.largest_stable is None
-        else f"stable up to {sampling.largest_stable:.3g} s"
-    )
-    return (
-        f"at {sampling.sample_time:g} s the sampled loop has spectral radius "
-        f"{sampling.spectral_radius:.4f} at z̄; {limit} (linearised)"
-    )
-
-
-def _learned(residual: Residual) -> str:
-    return (
-        "the Casimir is a network and holds only approximately: on "
-        f"{residual.points} points that it was not trained on, ‖∇Cᵀ(Jcl − Rcl)‖ relative to "
-        f"‖∇C‖‖Jcl − Rcl‖ is {residual.mean:.2g} on average, {residual.worst:.2g} at worst; "
-        "no decrease of V follows, so nothing is certified"
-    )
-
-
-def _matrix(D: np.ndarray) -> str:
-    diagonal = np.diag(np.diag(D))
-    if np.array_equal(D, diagonal):
-        values = [f"{v:.4g}" for v in np.diag(D)]
-        return values[0] if len(values) == 1 else f"diag({', '.join(values)})"
-    return str(np.round(D, 4).tolist())
-
-
-def _responses(found: Findings) -> str:
-    settled = [r for r in found.responses if r.converged]
-    text = f"{len(settled)} of {len(found.responses)} random starts settle within 2 %"
-    if settled:
-        slowest = max(r.settling_time for r in settled)
-        text += f", the slowest in {slowest:.3g} s"
-    peak = max(r.peak_input for r in found.responses)
-    if found.simulated_share is not None:
-        text += (
-            f"; the loop converges from {found.simulated_share:.0%} of random states of the "
-            "domain, momenta at rest"
-        )
-    return f"{text}; peak |u| {peak:.3g} (simulated)"

@@ -5,20 +5,26 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import shutil
 import sys
 import traceback
 from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
 from typing import Any
 
 import click
 
-from necc_casadi.errors import InputError
+from necc_casadi.errors import InputError, OutputError
 from necc_casadi.interrupts import interruptible
 
-__all__ = ["GroupedCommand", "Progress", "grouped", "run"]
+__all__ = ["GroupedCommand", "NamedPath", "Progress", "columns", "grouped", "run"]
 
 _UNGROUPED = "Other"
 INTERNAL_FAULT, BAD_INPUT, INTERRUPTED = 1, 2, 130
+_STOPPED = "interrupted; finished files are kept, nothing is half-written"
+_OUR_MISTAKE = "This is our mistake; --debug shows where it happened."
+#: Columns of a page of text: as many as the terminal has, within these.
+_NARROWEST, _WIDEST = 60, 98
 
 
 class GroupedOption(click.Option):
@@ -70,29 +76,57 @@ def run(command: click.Command, arguments: Sequence[str] | None = None) -> int:
         hint = f"See {name} --help."
         return _refuse("usage", problem.format_message(), hint, as_json, debug)
     except (KeyboardInterrupt, click.Abort):
-        click.echo("interrupted; finished files are kept, nothing is half-written", err=True)
-        return INTERRUPTED
+        return _end(INTERRUPTED, "interrupted", [_STOPPED], as_json)
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except Exception as problem:
         if debug:
             traceback.print_exc()
-        fault = f"internal fault: {type(problem).__name__}: {str(problem).splitlines()[:1]}"
-        click.echo(fault, err=True)
-        click.echo("This is our mistake; --debug shows where it happened.", err=True)
-        return INTERNAL_FAULT
+        fault = f"internal fault: {' '.join(f'{type(problem).__name__}: {problem}'.split())}"
+        return _end(INTERNAL_FAULT, "internal", [fault, _OUR_MISTAKE], as_json)
+
+
+def _end(status: int, code: str, lines: Sequence[str], as_json: bool) -> int:
+    """Say what happened: lines on stderr, with --json one object on stdout; the exit code."""
+    if as_json:
+        message = " ".join(line.strip() for line in lines).removeprefix(f"error [{code}]: ")
+        click.echo(json.dumps({"status": "error", "error": {"code": code, "message": message}}))
+    for line in lines:
+        click.echo(line, err=True)
+    return status
 
 
 def _refuse(code: str, fault: str, remedy: str, as_json: bool, debug: bool) -> int:
     if debug:
         traceback.print_exc()
-    if as_json:
-        message = f"{fault} {remedy}"
-        click.echo(json.dumps({"status": "error", "error": {"code": code, "message": message}}))
-    click.echo(f"error [{code}]: {fault}", err=True)
-    click.echo(f"  {remedy}", err=True)
-    return BAD_INPUT
+    return _end(BAD_INPUT, code, (f"error [{code}]: {fault}", f"  {remedy}"), as_json)
+
+
+class NamedPath(click.Path):
+    """A path that is not empty: an empty text would mean the working directory."""
+
+    def __init__(self, **kwargs: Any) -> None:
+        super().__init__(path_type=Path, **kwargs)
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> Any:
+        """Text to a path.
+
+        Raises
+        ------
+        OutputError
+            When the text is empty.
+        """
+        if not str(value).strip():
+            name = param.opts[-1] if isinstance(param, click.Option) else param.human_readable_name
+            raise OutputError("output", f"{name} is empty", "Name a path; . is the working folder.")
+        return super().convert(value, param, ctx)
+
+
+def columns() -> int:
+    """Columns for a page of text on this terminal; where stdout is none, as many as we like."""
+    wide = shutil.get_terminal_size((_WIDEST, 24)).columns
+    return max(_NARROWEST, min(_WIDEST, wide))
 
 
 class Progress:

@@ -328,6 +328,34 @@ def test_designing_twice_replaces_the_files_and_changes_nothing_else(tmp_path):
     assert not list(tmp_path.rglob(".*"))
 
 
+@pytest.mark.parametrize("given", [("--out", ""), ("--out", " "), ("",)])
+def test_an_empty_path_is_refused(tmp_path, monkeypatch, given):
+    """It would mean the working directory."""
+    monkeypatch.chdir(tmp_path)
+    arguments = given if given == ("",) else (PENDULUM, *given)
+    check_refusal(design(*arguments, "--target", "pi/4", "--json"), "output", "is empty")
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_fault_of_ours_is_one_json_object_too(monkeypatch):
+    """Exit 1, the fault in words, where to look; never a traceback without --debug."""
+    from necc_casadi import pipeline
+
+    def broken(*_):
+        raise ZeroDivisionError("division\nby zero")
+
+    monkeypatch.setattr(pipeline, "run_design", broken)
+    code, out, err = design(PENDULUM, "--target", "pi/4", "--json")
+    assert code == 1
+    assert json.loads(out)["status"] == "error"
+    assert json.loads(out)["error"]["code"] == "internal"
+    assert "ZeroDivisionError: division by zero" in json.loads(out)["error"]["message"]
+    assert err.splitlines()[0].endswith("ZeroDivisionError: division by zero")
+    assert len(err.splitlines()) == 2
+    code, out, err = design(PENDULUM, "--target", "pi/4")
+    assert (code, out) == (1, "")
+
+
 # --- interruption --------------------------------------------------------------------------------
 
 
@@ -352,7 +380,7 @@ def test_interrupting_leaves_nothing_half_written(tmp_path, delay):
         child.kill()
     assert child.returncode == 130, err
     assert "Traceback" not in err
-    assert out == ""
+    assert json.loads(out)["error"]["code"] == "interrupted"
     for path in tmp_path.rglob("*.json"):
         json.loads(path.read_text())
     assert not list(tmp_path.rglob(".*"))

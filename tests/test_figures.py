@@ -1,13 +1,16 @@
 """Figures: labelled with units, minima where they are, drawn without a display."""
 
 import io
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from necc_casadi import figures
+from necc_casadi.certificate import certify
 from necc_casadi.simulation import random_states, simulate
+from necc_casadi.slices import telling_pair
 
 
 @pytest.fixture(scope="module")
@@ -26,7 +29,7 @@ def test_the_lyapunov_figure_marks_both_minima(designs, name):
     made = designs[name]
     figure = figures.lyapunov_figure(made)
     flat = figure.axes[1]
-    i, j = figures._telling_pair(made)
+    i, j = telling_pair(made)
     marked = {line.get_label(): line.get_xydata()[0] for line in flat.lines}
     np.testing.assert_array_equal(
         next(v for k, v in marked.items() if "z*" in k), made.z_star[[i, j]]
@@ -72,6 +75,17 @@ def test_responses_show_every_state_the_input_and_V(default_design, response):
     assert drawn(figure).startswith(b"\x89PNG")
 
 
+def test_responses_that_do_not_settle_are_told_apart(default_design, response):
+    """By colour, with a legend; where all settle there is none."""
+    assert not figures.responses_figure(default_design, [response]).legends
+    cut = replace(response, z=response.z[:3], u=response.u[:3], V=response.V[:3], t=response.t[:3])
+    figure = figures.responses_figure(default_design, [response, cut])
+    (legend,) = figure.legends
+    colors = {line.get_label(): line.get_color() for line in legend.get_lines()}
+    drawn_in = [line.get_color() for line in figure.axes[0].lines[:2]]
+    assert drawn_in == [colors["settles within 2 %"], colors["does not settle in this time"]]
+
+
 def test_two_inputs_are_two_panels(designs):
     made = designs["joint"]
     some = simulate(made, random_states(made, 1)[0], points=21)
@@ -79,17 +93,91 @@ def test_two_inputs_are_two_panels(designs):
     assert {"u1", "u2"} <= set(labels)
 
 
-def test_the_sweep_shows_distance_and_both_bounds(default_design):
-    points = [
-        figures.SweepPoint(a, 1e-3, 1e-4, 1e-3 / (a - 1e-3), bound)
-        for a, bound in ((0.1, 2e-4), (0.5, 3e-4), (1.0, None or float("inf")))
+def test_the_region_is_drawn_large_with_its_slice_and_its_shadow(default_design):
+    """However small the level: the picture follows the region, which the domain would swallow."""
+    bottom = default_design.V(default_design.z_bar)
+    for level in (bottom + 1e-5, certify(default_design).level):
+        starts = figures.region_boundary(default_design, level)
+        assert len(starts) == 12
+        figure = figures.region_figure(default_design, level, [simulate(default_design, starts[0])])
+        (axis,) = figure.axes
+        curve = next(xy for label, xy in lines_of(axis).items() if label.startswith("proved"))
+        low, high = np.transpose([axis.get_xlim(), axis.get_ylim()])
+        assert (np.ptp(curve, axis=0) > 0.3 * (high - low)).all()
+        assert ((low <= curve) & (curve <= high)).all()
+        assert axis.get_title().endswith("domain: q from -1.21 to 2.79, p from -2 to 2")
+        assert drawn(figure).startswith(b"\x89PNG")
+
+
+def sweep(proved=(0.3, 0.2, 0.1), simulated=(1.0, 1.0, 0.9)):
+    return [
+        figures.SweepPoint(a, 1e-3, 1e-4, 1e-3 / (a - 1e-3), 3e-4, share, converges)
+        for a, share, converges in zip((0.1, 0.5, 1.0), proved, simulated, strict=True)
     ]
-    figure = figures.sweep_figure(default_design, points)
-    (axis,) = figure.axes
-    assert len(axis.lines) == 3
-    assert all(list(line.get_xdata()) == [0.1, 0.5, 1.0] for line in axis.lines)
-    assert axis.get_yscale() == "log"
+
+
+def lines_of(axis) -> dict[str, np.ndarray]:
+    return {line.get_label(): line.get_xydata() for line in axis.lines}
+
+
+def test_the_sweep_shows_distance_and_both_bounds(default_design):
+    upper, _ = figures.sweep_figure(default_design, sweep()).axes
+    assert len(upper.lines) == 3
+    assert all(list(xy[:, 0]) == [0.1, 0.5, 1.0] for xy in lines_of(upper).values())
+    assert upper.get_yscale() == "log"
+
+
+def test_a_distance_of_zero_has_a_place_on_the_logarithmic_axis(default_design):
+    """In the band below one rounding of z*, not at a number that was never measured."""
+    points = [replace(point, distance=0.0, loss=0.0, bound_paper=0.0) for point in sweep()]
+    upper, _ = figures.sweep_figure(default_design, points).axes
+    (band,) = upper.patches
+    rounding = np.spacing(np.linalg.norm(default_design.z_star))
+    low, high = band.get_y(), band.get_y() + band.get_height()
+    assert high == pytest.approx(rounding)
+    for label, xy in lines_of(upper).items():
+        assert ("proved" in label) == (not ((low <= xy[:, 1]) & (xy[:, 1] <= high)).all())
+
+
+def test_the_sweep_shows_the_proved_share_beside_the_simulated_one(default_design):
+    figure = figures.sweep_figure(default_design, sweep())
+    lower = figure.axes[1]
+    lines = lines_of(lower)
+    (proved,) = (xy for label, xy in lines.items() if "proved" in label)
+    (simulated,) = (xy for label, xy in lines.items() if "simulation" in label)
+    np.testing.assert_allclose(proved, [[0.1, 30], [0.5, 20], [1.0, 10]])
+    np.testing.assert_allclose(simulated[:, 1], [100, 100, 90])
+    assert lower.get_yscale() == "linear"
+    assert lower.get_xlabel().startswith("a,")
     assert drawn(figure).startswith(b"\x89PNG")
+
+
+def test_where_no_region_is_proved_a_cross_says_so(default_design):
+    """No value is invented: the line has a gap and the cross lies on the axis."""
+    figure = figures.sweep_figure(default_design, sweep((0.3, None, 0.1), (None, 1.0, 1.0)))
+    lines = lines_of(figure.axes[1])
+    np.testing.assert_array_equal(lines["no region proved"], [[0.5, 0.0]])
+    (proved,) = (xy for label, xy in lines.items() if "at least" in label)
+    assert list(np.isnan(proved[:, 1])) == [False, True, False]
+    assert drawn(figure).startswith(b"\x89PNG")
+    nothing = figures.sweep_figure(default_design, sweep((None,) * 3, (None,) * 3))
+    assert list(lines_of(nothing.axes[1])) == ["no region proved"]
+
+
+def test_small_shares_are_told_apart(default_design):
+    figure = figures.sweep_figure(default_design, sweep((3e-5, 1e-5, 1e-9)))
+    assert figure.axes[1].get_yscale() == "log"
+
+
+def test_the_sweep_says_where_a_is_out_of_reach(default_design):
+    labels = [
+        patch.get_label() for patch in figures.sweep_figure(default_design, sweep()).axes[0].patches
+    ]
+    assert "a above a_max" not in labels  # a_max = 1 for the pendulum
+    points = [replace(point, a=2 * point.a) for point in sweep()]
+    for axis in figures.sweep_figure(default_design, points).axes:
+        (band,) = (patch for patch in axis.patches if patch.get_label() == "a above a_max")
+        assert band.get_x() == pytest.approx(default_design.verdict.a_max)
 
 
 def test_written_whole(default_design, response, tmp_path):

@@ -12,6 +12,7 @@ from test_cli import check_refusal, design, here
 
 from necc_casadi import cli
 from necc_casadi.artifact import Design
+from necc_casadi.model_file import load_model
 
 EXAMPLES = PENDULUM.parent
 SMALL = ("--hidden-k", "8", "--hidden-h", "6")
@@ -143,11 +144,33 @@ def test_the_sweep_keeps_the_bounds_above_the_distance(everything):
         )
 
 
+def test_the_sweep_says_what_is_proved_and_simulated_for_each_a(everything):
+    """No start of the proved share may fail to converge, so it cannot exceed the simulated one."""
+    for point in everything[1]["sweep"]:
+        assert 0.05 < point["domain_share"] <= point["simulated_share"] + 0.05
+        assert "domain" in point["limited_by"]
+
+
 def test_what_was_not_asked_for_is_null(tmp_path):
     code, data = run(PENDULUM, "--target", "pi/4", "--check")
     assert code == 0
     for block in ("design", "certificate", "responses", "sampling", "sweep"):
         assert data[block] is None
+
+
+def test_a_mistyped_optional_name_is_noted(tmp_path):
+    """Nothing reads it, so a domain or a limit would be missing without a word."""
+    path = tmp_path / "plant.py"
+    own = PENDULUM.read_text(encoding="utf-8")
+    path.write_text(f"{own}\ndomian = {{q: (-1, 2)}}\nlength = 1\ntargets = ()\n")
+    code, data = run(path, "--target", "pi/4", "--check")
+    assert code == 0
+    (domain,) = (note for note in data["notes"] if "domian" in note)
+    assert domain.endswith("did you mean domain?")
+    assert any("targets" in note and "target?" in note for note in data["notes"])
+    assert not any("length" in note for note in data["notes"])
+    for example in EXAMPLES.glob("*.py"):
+        assert load_model(example).notes == ()
 
 
 def long_chain(tmp_path) -> Path:

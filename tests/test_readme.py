@@ -8,6 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from necc_casadi.model_file import load_model
+
 ROOT = Path(__file__).parent.parent
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 BIN = Path(sys.executable).parent
@@ -72,6 +74,34 @@ def test_model_and_python_code_of_the_readme(designed, monkeypatch):
     space: dict[str, object] = {}
     exec(usage, space)
     assert space["A"].shape == (3, 3)
+
+
+def test_every_picture_is_there_and_shown():
+    shown = set()
+    for page in (ROOT / "README.md", ROOT / "docs" / "gallery.md"):
+        text = page.read_text(encoding="utf-8")
+        pictures = {page.parent / name for name in re.findall(r"!\[[^]]*\]\(([^)]+)\)", text)}
+        assert not [str(path) for path in pictures if not path.is_file()]
+        shown |= pictures
+    assert shown == set((ROOT / "docs" / "images").glob("*.png"))
+
+
+def test_the_gallery_says_of_every_example_whether_it_is_global():
+    """One row per target; a reason wherever the answer is no."""
+    text = (ROOT / "docs" / "gallery.md").read_text(encoding="utf-8")
+    rows = [line.split("|")[1:-1] for line in text.splitlines() if line.startswith("| [")]
+    for example in (ROOT / "examples").glob("*.py"):
+        name = load_model(example).loop.plant.name
+        own = [row for row in rows if row[0].strip().startswith(f"[{name}]")]
+        assert own, name
+        for row in own:
+            answer = row[-1].strip()
+            refused = row[2].strip().startswith("refused")
+            assert answer == "–" if refused else re.match(r"\*\*yes\*\*|no: \w{2}", answer), row
+    anchors = {
+        line[3:].lower().replace(" ", "-") for line in text.splitlines() if line[:3] == "## "
+    }
+    assert {row[0].split("(#")[1].strip(" )") for row in rows} == anchors
 
 
 def test_ci_runs_the_test_command_of_the_readme():
