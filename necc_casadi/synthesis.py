@@ -11,9 +11,12 @@ import sympy as sp
 from necc_casadi.artifact import Design
 from necc_casadi.assignability import Verdict
 from necc_casadi.casimirs import Casimirs
+from necc_casadi.certificate.region import domain_of, momentum_ceiling
+from necc_casadi.certificate.structure import quadratic_states
 from necc_casadi.conditions import at
 from necc_casadi.convexity import least_kappa
 from necc_casadi.damping import choose_damping
+from necc_casadi.errors import OptionError
 from necc_casadi.learned import casimir_penalty, casimir_residual, state_inputs
 from necc_casadi.lifting import Scales
 from necc_casadi.loop import ClosedLoop
@@ -21,9 +24,10 @@ from necc_casadi.lyapunov import Form, LyapunovFunction, make_terms
 from necc_casadi.networks import KAPPA_MIN, MonotonePhi, Network, Vector
 from necc_casadi.outcome import Start
 from necc_casadi.plant import gradient
+from necc_casadi.shaping import SHAPES, Box, Shaping, make_shaping
 from necc_casadi.training import train
 
-__all__ = ["Options", "design", "natural_scales", "paper_options"]
+__all__ = ["Options", "check_options", "design", "natural_scales", "paper_options"]
 
 #: Curvature asked for by default, as a share of the reference stiffness.
 _DEFAULT_A = 0.5
@@ -49,6 +53,8 @@ class Options:
     Dc: Vector | None = None  # m × m
     convex: bool = False  # quadratic parts stiff enough to make V convex everywhere
     learn_casimir: bool = False  # a network C(z), a Casimir only approximately
+    shape: str = "none"  # what is asked of V over the domain: a key of SHAPES
+    gamma: float = 1.0  # of the regulariser: ‖z − z*‖² ≤ γ ΔV on average, in natural units
     natural_units: bool = True  # scale the networks to the plant's domain and energy
     seed: int = 0
     starts: int = 1
@@ -92,6 +98,7 @@ def design(
         Called with the outcome of each start of the solver.
     """
     options = options or Options()
+    check_options(options)
     casimirs = _finite_at(casimirs, x_star)
     if options.learn_casimir:
         casimirs = state_inputs(loop, casimirs)
@@ -115,6 +122,20 @@ def design(
     a = requested
     if verdict.a_max is not None and requested >= verdict.a_max and not options.keep_a:
         a = _BELOW_CEILING * verdict.a_max
+    frame = Design(
+        loop=loop,
+        casimirs=casimirs,
+        x_star=tuple(x_star[s] for s in loop.plant.x),
+        verdict=verdict,
+        form=form,
+        weights=np.zeros(form.size),
+        xi_star=guess,
+        D=np.eye(terms.m),
+        Dc=np.eye(terms.m),
+        a=a,
+        a_requested=requested,
+        seed=options.seed,
+    )
     solution = train(
         terms,
         form,
@@ -126,31 +147,75 @@ def design(
         xi_guess=guess,
         kappa_min=least_kappa(terms, scales, verdict, x, guess, a) if options.convex else KAPPA_MIN,
         penalty=penalty,
+        shaping=None if options.shape == "none" else _shaping(frame, natural, options),
         report=report,
         verbose=options.verbose,
     )
     z_star = np.concatenate([x, solution.xi_star])
     undamped = LyapunovFunction(terms, form, solution.weights, np.eye(terms.m), np.eye(terms.m))
     D, Dc = choose_damping(undamped, loop, z_star, options.D, options.Dc)
-    made = Design(
-        loop=loop,
-        casimirs=casimirs,
-        x_star=tuple(x_star[s] for s in loop.plant.x),
-        verdict=verdict,
-        form=form,
+    made = replace(
+        frame,
         weights=solution.weights,
         xi_star=solution.xi_star,
         D=D,
         Dc=Dc,
-        a=a,
-        a_requested=requested,
-        seed=options.seed,
         starts=solution.starts,
         learned=casimir_residual(terms, form, solution.weights, natural, z_star, options.seed)
         if options.learn_casimir
         else None,
     )
     return Design.from_text(made.text)
+
+
+def check_options(options: Options) -> None:
+    """Refuse options that do not go together.
+
+    Raises
+    ------
+    OptionError
+        For an unknown shape, a γ that is not positive, or a form that cannot be shaped.
+    """
+    if options.shape not in SHAPES:
+        raise OptionError(
+            "usage", f"shape = {options.shape!r} is not known", f"Choose from {', '.join(SHAPES)}."
+        )
+    if not 0 < options.gamma < np.inf:
+        raise OptionError(
+            "usage", f"gamma = {options.gamma} is not a positive number", "Try gamma = 1."
+        )
+    if options.shape == "none":
+        return
+    for clash, name, remedy in (
+        (options.phi != "sum", "--phi neural", "Drop it: Φ = H + Hc + C can be shaped."),
+        (options.learn_casimir, "--learn-casimir", "Drop one: nothing is certified from it."),
+        (options.convex, "--global", "Drop one: V convex everywhere, or wide in the domain."),
+    ):
+        if clash:
+            raise OptionError(
+                "usage", f"--shape {options.shape} and {name} exclude each other", remedy
+            )
+
+
+def _shaping(frame: Design, natural: Scales, options: Options) -> Shaping:
+    """Samples of the domain around z*, momenta at rest, and what to ask of V there."""
+    if frame.form.betas:
+        raise OptionError(
+            "usage",
+            f"--shape {options.shape} needs C = K(c₁, …, c_r), but the form is K(Σ βᵢ(cᵢ))",
+            "Add --casimir-form joint.",
+        )
+    domain, resting = domain_of(frame), quadratic_states(frame)
+    ceiling, _ = momentum_ceiling(frame, resting, domain, 0.0)
+    box = Box(
+        lo=domain.lo - frame.z_star,
+        hi=domain.hi - frame.z_star,
+        active=tuple(i for i in range(frame.loop.n) if i not in resting),
+        ceiling=ceiling if ceiling > 0 else np.inf,
+    )
+    return make_shaping(
+        options.shape, box, natural.state, natural.energy, options.gamma, options.seed
+    )
 
 
 def _finite_at(casimirs: Casimirs, x_star: Mapping[sp.Symbol, sp.Expr]) -> Casimirs:

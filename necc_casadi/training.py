@@ -20,23 +20,29 @@ that the Gauss–Newton Hessian is accurate.
 
 *Soft form*, for targets or curvatures out of reach: min s + t subject to ∇V(z*) = s w, wᵀw ≤ 1,
 ∇²V(z*) + (t − a)I = LLᵀ, s, t ≥ 0. Its minimum is the minimum of ε exactly.
+
+*Shaped form* (:mod:`necc_casadi.shaping`). The hard form with a heavy objective over samples of the
+domain, in rows u = A m + b that are affine in the weights m that move; the hidden layers are fixed
+at their start and ξ* is held to its own, around which the samples lie. The Hessian is exact.
 """
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import casadi as ca
 import numpy as np
+import numpy.typing as npt
 
 from necc_casadi.interrupts import interruptible
 from necc_casadi.lifting import Lifting, Scales
 from necc_casadi.lyapunov import Form, Terms
 from necc_casadi.networks import KAPPA_MIN, Vector
 from necc_casadi.outcome import Start
+from necc_casadi.shaping import Shaping, moving_weights
 
 __all__ = ["Solution", "train"]
 
@@ -44,6 +50,8 @@ __all__ = ["Solution", "train"]
 EXACT_HESSIAN_WEIGHTS = 500
 #: Weak pull of ξ* to its initial value: V may be invariant under translations of ξ.
 XI_COST = 1e-2
+#: Pull of ξ* where V is shaped over samples around its start: it moves only where it must.
+SHAPED_XI_COST = 1e4
 #: Quadratic parts start this much above their lower bound.
 STIFFER = 1.1
 #: A fixed entry of ∇V(z*) below this, in natural units, is rounding.
@@ -71,6 +79,10 @@ _LIMITED_MEMORY = {
     "ipopt.hessian_approximation": "limited-memory",
     "ipopt.limited_memory_initialization": "constant",
 }
+
+
+#: A shape need not be optimal to many digits; the constraints are exact all the same.
+_SHAPED = {"ipopt.tol": 1e-4, "ipopt.acceptable_tol": 1e-3}
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,6 +117,7 @@ def train(
     xi_guess: Vector | None = None,
     kappa_min: float = KAPPA_MIN,
     penalty: Callable[[ca.MX, ca.MX], ca.MX] | None = None,
+    shaping: Shaping | None = None,
     report: Callable[[Start], None] | None = None,
     verbose: bool = False,
 ) -> Solution:
@@ -132,6 +145,9 @@ def train(
         Least curvature of the quadratic parts, in natural units (energy/length²).
     penalty
         (weights, ξ*) ↦ a further term of the objective, over as many sample points as it likes.
+    shaping
+        What is asked of V over samples of the domain, in the hard form; V must be affine in its
+        output layers (Φ = H + Hc + C, joint form).
     report
         Called with the outcome of each start.
     verbose
@@ -144,7 +160,8 @@ def train(
         program = make(lifting, a, kappa_min)
         if program is None:
             continue
-        solver = _Solver(lifting, program, a, kappa_min, penalty, verbose)
+        shaped = shaping if program.mode == "hard" else None
+        solver = _Solver(lifting, program, a, kappa_min, penalty, shaped, verbose)
         for index in range(starts):
             results.append(solver.run(seed + index, away=index > 0))
             if report is not None:
@@ -301,9 +318,12 @@ class _Solver:
         a: float,
         kappa_min: float,
         penalty: Callable[[ca.MX, ca.MX], ca.MX] | None,
+        shaping: Shaping | None,
         verbose: bool,
     ) -> None:
+        program = _with_level(program) if shaping is not None and shaping.has_level else program
         self.lifting, self.program, self.a, self.kappa_min = lifting, program, a, kappa_min
+        self.shaping = shaping
         small = ca.vertcat(lifting.small, program.extra)
         core = ca.Function(
             "core", [small], [program.objective, program.equalities, program.inequalities]
@@ -318,6 +338,9 @@ class _Solver:
             f = f + self._proximity(s, w, start)
         if penalty is not None:
             f = f + penalty(weights, s[:nc])
+        rows = _Rows(shaping, lifting, w, s[-1]) if shaping is not None else None
+        if rows is not None:
+            f, unequal = f + rows.objective, ca.vertcat(unequal, rows.margins)
         g = ca.vertcat(lifting.residuals(weights, s[:n_lifted]), equal, unequal)
         self.g_upper = np.zeros(g.numel())
         self.g_upper[g.numel() - unequal.numel() :] = np.inf
@@ -330,10 +353,13 @@ class _Solver:
         )
         many = lifting.form.size > EXACT_HESSIAN_WEIGHTS
         first_order = program.mode == "soft" or (penalty is not None and many)
-        options = _IPOPT | (_LIMITED_MEMORY if first_order else self._hessian(s, w, start, f, g))
+        p = start if rows is None else ca.vertcat(start, rows.parameters)
+        options = _IPOPT | (_LIMITED_MEMORY if first_order else self._hessian(s, w, p, f, g, rows))
+        if rows is not None:
+            options |= _SHAPED
         if verbose:
             options |= {"ipopt.print_level": 5}
-        problem = {"x": ca.vertcat(s, w), "p": start, "f": f, "g": g}
+        problem = {"x": ca.vertcat(s, w), "p": p, "f": f, "g": g}
         self.solver = ca.nlpsol("train", "ipopt", problem, options)
 
     def _cost(self) -> ca.DM:
@@ -344,17 +370,24 @@ class _Solver:
         """½ ‖θ − θ₀‖²_Q and the weak pull on ξ*."""
         nc = self.lifting.terms.nc
         pull = ca.sumsqr((s[:nc] - start[:nc]) / ca.DM(self.lifting.scales.state[-nc:]))
-        return (ca.dot(self._cost(), (w - start[nc:]) ** 2) + XI_COST * pull) / 2
+        xi_cost = XI_COST if self.shaping is None else SHAPED_XI_COST
+        return (ca.dot(self._cost(), (w - start[nc:]) ** 2) + xi_cost * pull) / 2
 
-    def _hessian(self, s: ca.MX, w: ca.MX, start: ca.MX, f: ca.MX, g: ca.MX) -> dict[str, object]:
-        """Exact second derivatives for few weights; for many, Gauss–Newton in θ."""
-        if self.lifting.form.size <= EXACT_HESSIAN_WEIGHTS:
+    def _hessian(
+        self, s: ca.MX, w: ca.MX, p: ca.MX, f: ca.MX, g: ca.MX, rows: _Rows | None
+    ) -> dict[str, object]:
+        """Exact second derivatives for few weights; for many, Gauss–Newton in θ.
+
+        With `rows` the hidden layers are fixed and everything is affine in θ but the rows' sum.
+        """
+        if self.lifting.form.size <= EXACT_HESSIAN_WEIGHTS and rows is None:
             return {}
         multiplier_f, multiplier_g = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", g.numel())
         gradient = ca.gradient(multiplier_f * f + ca.dot(multiplier_g, g), s)
         corner, cross = ca.jacobian(gradient, s), ca.jacobian(gradient, w)
-        hessian = ca.blockcat([[corner, cross], [cross.T, multiplier_f * ca.diag(self._cost())]])
-        inputs = [ca.vertcat(s, w), start, multiplier_f, multiplier_g]
+        theta = ca.diag(self._cost()) if rows is None else ca.diag(self._cost()) + rows.curvature
+        hessian = ca.blockcat([[corner, cross], [cross.T, multiplier_f * theta]])
+        inputs = [ca.vertcat(s, w), p, multiplier_f, multiplier_g]
         return {"hess_lag": ca.Function("hess_lag", inputs, [ca.triu(hessian)])}
 
     def run(self, seed: int, away: bool) -> tuple[Start, Vector, Vector]:
@@ -366,13 +399,23 @@ class _Solver:
         xi0 = lifting.guess + rng.normal(0.0, 1.0, nc) * spread
         w0 = lifting.centred(w0, xi0, STIFFER * self.kappa_min)
         small = lifting.small_at(w0, xi0)
+        first, p = self.program.initial(small), np.concatenate([xi0, w0])
+        lower, upper = self.lower, np.full(self.lower.size, np.inf)
+        if self.shaping is not None:
+            A, b, moving = self._sampled(w0, xi0)
+            level = self.shaping.first_level(A @ w0[moving] + b)
+            first = np.concatenate([first[: first.size - level.size], level])
+            p = np.concatenate([p, A.ravel(order="F"), b])
+            fixed = self.n_small + np.setdiff1d(np.arange(w0.size), moving)
+            lower = lower.copy()
+            lower[fixed] = upper[fixed] = w0[fixed - self.n_small]
         began = time.perf_counter()
         with interruptible():
             result = self.solver(
-                x0=np.concatenate([small, self.program.initial(small), w0]),
-                p=np.concatenate([xi0, w0]),
-                lbx=self.lower,
-                ubx=np.inf,
+                x0=np.concatenate([small, first, w0]),
+                p=p,
+                lbx=lower,
+                ubx=upper,
                 lbg=0,
                 ubg=self.g_upper,
             )
@@ -391,3 +434,38 @@ class _Solver:
             loss=lifting.loss(weights, xi_star, self.a),
         )
         return start, weights, xi_star
+
+    def _sampled(self, w0: Vector, xi0: Vector) -> tuple[Vector, Vector, npt.NDArray[np.int_]]:
+        """(A, b, moving) of u = A ŵ[moving] + b, for hidden layers and samples at this start."""
+        lifting, shaping = self.lifting, self.shaping
+        moving = moving_weights(lifting.form)
+        weights, z_star = lifting.sigma * w0 + lifting.tau, np.concatenate([lifting.x_star, xi0])
+        A, b = shaping.rows(lifting.terms, lifting.form, weights, z_star)
+        return A * lifting.sigma[moving], b + A @ lifting.tau[moving], moving
+
+
+class _Rows:
+    """The rows u = A ŵ[moving] + b of a shaping in the program; A and b are parameters."""
+
+    def __init__(self, shaping: Shaping, lifting: Lifting, w: ca.MX, c: ca.MX) -> None:
+        moving = moving_weights(lifting.form)
+        A, b = ca.MX.sym("A", shaping.count, moving.size), ca.MX.sym("b", shaping.count)
+        u, level = ca.SX.sym("u", shaping.count), ca.SX.sym("c")
+        objective = shaping.objective(u, level)
+        second = ca.diag(ca.hessian(objective, u)[0])
+        terms = ca.Function("shape", [u, level], [objective, shaping.margins(u, level), second])
+        selection = ca.DM.eye(w.numel())[moving.tolist(), :]
+        self.parameters = ca.vertcat(ca.vec(A), b)
+        self.objective, self.margins, second = terms(A @ (selection @ w) + b, c)
+        weighted = ca.repmat(second, 1, moving.size) * A
+        self.curvature = selection.T @ (A.T @ weighted) @ selection
+
+
+def _with_level(program: _Program) -> _Program:
+    """The program with the level c as its last variable; where it starts is set later."""
+    return replace(
+        program,
+        extra=ca.vertcat(program.extra, ca.SX.sym("c")),
+        lower=np.append(program.lower, -np.inf),
+        initial=lambda small: np.append(program.initial(small), 0.0),
+    )
