@@ -110,8 +110,8 @@ class Shaping:
             A = np.concatenate([A[0, :N], A[1, :N], A[0, N:]])
             u = np.concatenate([u[:N, 0], u[:N, 1], u[N:, 0]])
         else:
-            A = -self.gamma * A[0].mean(0, keepdims=True)
-            u = np.array([np.mean(self.squares - self.gamma * u[:, 0])])
+            A = -self.gamma * A[0, :N].mean(0, keepdims=True)
+            u = np.array([np.mean(self.squares - self.gamma * u[:N, 0])])
         return A, u - A @ weights[moving]
 
     def objective(self, u: ca.SX, c: ca.SX) -> ca.SX:

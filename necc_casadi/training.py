@@ -339,9 +339,13 @@ class _Solver:
         if penalty is not None:
             f = f + penalty(weights, s[:nc])
         rows = _Rows(shaping, lifting, w, s[-1]) if shaping is not None else None
-        if rows is not None:
-            f, unequal = f + rows.objective, ca.vertcat(unequal, rows.margins)
+        p = start if rows is None else ca.vertcat(start, rows.parameters)
         g = ca.vertcat(lifting.residuals(weights, s[:n_lifted]), equal, unequal)
+        slopes = {}
+        if rows is not None:
+            slopes = rows.first_derivative(s, w, p, g)
+            f, unequal = f + rows.objective, ca.vertcat(unequal, rows.margins)
+            g = ca.vertcat(g, rows.margins)
         self.g_upper = np.zeros(g.numel())
         self.g_upper[g.numel() - unequal.numel() :] = np.inf
         self.lower = np.concatenate(
@@ -353,10 +357,9 @@ class _Solver:
         )
         many = lifting.form.size > EXACT_HESSIAN_WEIGHTS
         first_order = program.mode == "soft" or (penalty is not None and many)
-        p = start if rows is None else ca.vertcat(start, rows.parameters)
         options = _IPOPT | (_LIMITED_MEMORY if first_order else self._hessian(s, w, p, f, g, rows))
         if rows is not None:
-            options |= _SHAPED
+            options |= _SHAPED | slopes
         if verbose:
             options |= {"ipopt.print_level": 5}
         problem = {"x": ca.vertcat(s, w), "p": p, "f": f, "g": g}
@@ -459,6 +462,20 @@ class _Rows:
         self.objective, self.margins, second = terms(A @ (selection @ w) + b, c)
         weighted = ca.repmat(second, 1, moving.size) * A
         self.curvature = selection.T @ (A.T @ weighted) @ selection
+        slopes = ca.jacobian(shaping.margins(u, level), ca.vertcat(level, u))
+        at_level, at_rows = ca.DM(slopes)[:, 0], ca.sparsify(ca.DM(slopes)[:, 1:])
+        self.slope = ca.horzcat(at_level, (at_rows @ A) @ selection)
+
+    def first_derivative(self, s: ca.MX, w: ca.MX, p: ca.MX, g: ca.MX) -> dict[str, object]:
+        """The Jacobian of the constraints, of these rows without differentiation.
+
+        `g` holds the other constraints; the level is the last entry of `s`.
+        """
+        x = ca.vertcat(s, w)
+        own = ca.horzcat(ca.MX(self.slope.size1(), s.numel() - 1), self.slope)
+        jacobian = ca.vertcat(ca.jacobian(g, x), own)
+        both = [ca.vertcat(g, self.margins), jacobian]
+        return {"jac_g": ca.Function("jac_g", [x, p], both)}
 
 
 def _with_level(program: _Program) -> _Program:
