@@ -12,11 +12,11 @@ As published, with V(zᵢ) in place of ΔV(zᵢ), an offset of V would minimise 
 
 *level*: the part of the domain below a level c that no boundary point lies below,
 
-    min  (1/N) Σ σ((ΔV(zᵢ) − c)/τ) + (w/N) Σ ReLU(η‖zᵢ − z*‖² − ∇V(zᵢ)ᵀ(zᵢ − z*))
+    min  (1/N) Σ σ((ΔV(zᵢ) − c)/τ) + (w/N) Σ ReLU(η − ∇V(yᵢ)ᵀ(yᵢ − z*)/‖yᵢ − z*‖²)
     subject to  ΔV(bⱼ) ≥ c at samples bⱼ of the boundary,  c ≤ the momenta's ceiling,
 
-σ(v) = (1 + v/√(1 + v²))/2. The second sum makes V grow along rays from z*, so that no other
-critical point lies below c. A certificate, not these samples, says what was reached.
+σ(v) = (1 + v/√(1 + v²))/2. The second sum, over samples yᵢ that crowd around z*, makes V grow
+along rays from z*, so that no other critical point lies below c. A certificate, not these samples, says what was reached.
 
 Shaped networks keep their hidden layers at their random initialisation: V is then affine in what
 moves, and the Hessian of both objectives is exact at the price of one product AᵀDA.
@@ -43,8 +43,10 @@ SHAPES = ("none", "regulariser", "level")
 _SMOOTHING = 0.1
 #: τ, as a share of the largest level.
 _SHARPNESS = 0.05
-#: η and w: least growth along rays in natural units, and what falling short of it costs.
-_GROWTH, _GROWTH_COST = 0.1, 10.0
+#: η, δ and w: least growth along rays in natural units, and what falling short of it costs.
+_GROWTH, _GROWTH_SMOOTHING, _GROWTH_COST = 0.1, 0.02, 10.0
+#: Growth is sampled from this share of the way to the boundary on.
+_NEAREST = 0.05
 #: Weight beside the other terms of the objective, which then only select among equal shapes.
 _WEIGHT = {"regulariser": 100.0, "level": 1000.0}
 #: Samples inside, and of the boundary for every dimension beyond the first.
@@ -67,21 +69,17 @@ class Shaping:
     """Samples and objective, as elementwise functions of rows u = A m + b in moving weights m.
 
     The rows are, for the regulariser, the mean of ‖zᵢ − z*‖² − γ ΔV(zᵢ); for the level ΔV(zᵢ),
-    then ∇V(zᵢ)ᵀ(zᵢ − z*), then ΔV(bⱼ). Energies and lengths are in natural units.
+    then the growth ∇V(yᵢ)ᵀ(yᵢ − z*)/‖yᵢ − z*‖², then ΔV(bⱼ). Energies and lengths are in natural units.
     """
 
     kind: str  # "regulariser" or "level"
     inner: Vector  # (N, n + nc) zᵢ − z*
+    rays: Vector  # (N, n + nc) yᵢ − z*
     boundary: Vector  # (B, n + nc) bⱼ − z*
     size: Vector  # (n + nc,) natural size of each state
     energy: float  # natural size of V
     ceiling: float  # largest level, in natural units
     gamma: float = 1.0
-
-    @property
-    def squares(self) -> Vector:
-        """‖zᵢ − z*‖² in natural units, (N,)."""
-        return np.asarray(((self.inner / self.size) ** 2).sum(1))
 
     @property
     def has_level(self) -> bool:
@@ -93,25 +91,33 @@ class Shaping:
         """Number of rows u."""
         return 2 * len(self.inner) + len(self.boundary) if self.has_level else 1
 
+    def _squares(self, offsets: Vector) -> Vector:
+        """‖z − z*‖² in natural units, one per row of `offsets`."""
+        return np.asarray(((offsets / self.size) ** 2).sum(1))
+
     def rows(
         self, terms: Terms, form: Form, weights: Vector, z_star: Vector
     ) -> tuple[Vector, Vector]:
-        """(A, b) with u = A m + b for every m, (count, moving) and (count,); other weights fixed."""
+        """(A, b) with u = A m + b for every m, the other weights fixed: (count, moving), (count,)."""
         moving = moving_weights(form)
-        offsets = np.concatenate([self.inner, self.boundary])
-        row = _row(terms, form, moving).map(len(offsets))
-        values, slopes = row(
-            *(np.repeat(v[:, None], len(offsets), axis=1) for v in (weights, z_star)), offsets.T
-        )
-        u = np.asarray(values, float).T / self.energy  # (samples, 2)
-        A = np.asarray(slopes, float).reshape(2, len(offsets), len(moving)) / self.energy
-        N = len(self.inner)
-        if self.has_level:
-            A = np.concatenate([A[0, :N], A[1, :N], A[0, N:]])
-            u = np.concatenate([u[:N, 0], u[:N, 1], u[N:, 0]])
-        else:
-            A = -self.gamma * A[0, :N].mean(0, keepdims=True)
-            u = np.array([np.mean(self.squares - self.gamma * u[:N, 0])])
+
+        def at(offsets: Vector) -> tuple[Vector, Vector]:
+            """ΔV and ∇Vᵀ(z − z*) at samples in natural units, (2, S); by the weights, (2, S, m)."""
+            row = _row(terms, form, moving).map(len(offsets))
+            both = [np.repeat(v[:, None], len(offsets), axis=1) for v in (weights, z_star)]
+            u, slopes = (np.asarray(v, float) / self.energy for v in row(*both, offsets.T))
+            return u, slopes.reshape(2, len(offsets), moving.size)
+
+        u, A = at(self.inner)
+        if not self.has_level:
+            A = -self.gamma * A[0].mean(0, keepdims=True)
+            u = np.array([np.mean(self._squares(self.inner) - self.gamma * u[0])])
+            return A, u - A @ weights[moving]
+        grow, grow_A = at(self.rays)
+        edge, edge_A = at(self.boundary)
+        square = self._squares(self.rays)
+        A = np.concatenate([A[0], grow_A[1] / square[:, None], edge_A[0]])
+        u = np.concatenate([u[0], grow[1] / square, edge[0]])
         return A, u - A @ weights[moving]
 
     def objective(self, u: ca.SX, c: ca.SX) -> ca.SX:
@@ -121,7 +127,7 @@ class Shaping:
         N = len(self.inner)
         outside = (u[:N] - c) / (_SHARPNESS * self.ceiling)
         share = ca.sum1(1 + outside / ca.sqrt(1 + outside**2)) / (2 * N)
-        short = _relu(_GROWTH * ca.DM(self.squares) - u[N : 2 * N], _SMOOTHING)
+        short = _relu(_GROWTH - u[N : 2 * N], _GROWTH_SMOOTHING)
         return _WEIGHT[self.kind] * (share + _GROWTH_COST / N * ca.sum1(short))
 
     def margins(self, u: ca.SX, c: ca.SX) -> ca.SX:
@@ -143,7 +149,8 @@ def make_shaping(
     """Samples of the box and of its boundary, the same for the same seed."""
     d = len(box.active)
     N = _INNER * max(1, d - 1)
-    inner = quasi_random(N, d, seed)
+    inner = quasi_random(N, d + 1, seed)
+    inner, depth = inner[:, :d], inner[:, d:]
     faces = [(axis, side) for axis in range(d) for side in (0.0, 1.0)]
     total = min(_BOUNDARY * max(1, d - 1), _MOST_BOUNDARY)
     each = max(1, total // len(faces)) if d > 1 else 1
@@ -155,6 +162,7 @@ def make_shaping(
     return Shaping(
         kind=kind,
         inner=_offsets(box, inner),
+        rays=_offsets(box, inner) * (_NEAREST + (1 - _NEAREST) * depth),
         boundary=_offsets(box, np.concatenate(boundary)),
         size=size,
         energy=energy,
