@@ -12,11 +12,12 @@ As published, with V(zᵢ) in place of ΔV(zᵢ), an offset of V would minimise 
 
 *level*: the part of the domain below a level c that no boundary point lies below,
 
-    min  (1/N) Σ σ((ΔV(zᵢ) − c)/τ) + (w/N) Σ ReLU(η − ∇V(yᵢ)ᵀ(yᵢ − z*)/‖yᵢ − z*‖²)
+    min  (1/N) Σ σ((ΔV(zᵢ) − c)/τ) + (w/N) Σ [ReLU(η − gᵢ) + ReLU(η − kᵢ)]
     subject to  ΔV(bⱼ) ≥ c at samples bⱼ of the boundary,  c ≤ the momenta's ceiling,
 
-σ(v) = (1 + v/√(1 + v²))/2. The second sum, over samples yᵢ that crowd around z*, makes V grow
-along rays from z*, so that no other critical point lies below c. A certificate, not these samples, says what was reached.
+σ(v) = (1 + v/√(1 + v²))/2. The growth gᵢ = ∇V(yᵢ)ᵀ(yᵢ − z*)/‖yᵢ − z*‖² keeps other critical points
+out, at samples yᵢ that crowd around z*; the curvature kᵢ = dᵢᵀ∇²V(yᵢ)dᵢ in unit directions dᵢ, at
+samples yet closer, keeps V convex around z*, where a certificate must tell z̄ from other points. A certificate, not these samples, says what was reached.
 
 Shaped networks keep their hidden layers at their random initialisation: V is then affine in what
 moves, and the Hessian of both objectives is exact at the price of one product AᵀDA.
@@ -24,7 +25,6 @@ moves, and the Hessian of both objectives is exact at the price of one product A
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import casadi as ca
@@ -44,11 +44,18 @@ _SMOOTHING = 0.1
 #: τ, as a share of the largest level.
 _SHARPNESS = 0.05
 #: η, δ and w: least growth along rays in natural units, and what falling short of it costs.
-_GROWTH, _GROWTH_SMOOTHING, _GROWTH_COST = 0.1, 0.02, 10.0
+_GROWTH, _GROWTH_SMOOTHING, _GROWTH_COST = 0.2, 0.1, 10.0
+_CURVATURE_COST = 3.0
+#: η is no more than this share of the curvature asked for at z*.
+_BELOW_A = 0.4
 #: Growth is sampled from this share of the way to the boundary on.
 _NEAREST = 0.05
+#: Curvature is sampled up to this share of the way.
+_CONVEX = 0.3
+#: Entries of a sample's row: ΔV, ∇Vᵀd, dᵀ∇²V d.
+_VALUE, _SLOPE, _CURVATURE = range(3)
 #: Weight beside the other terms of the objective, which then only select among equal shapes.
-_WEIGHT = {"regulariser": 100.0, "level": 1000.0}
+_WEIGHT = {"regulariser": 100.0, "level": 5000.0}
 #: Samples inside, and of the boundary for every dimension beyond the first.
 _INNER, _BOUNDARY, _MOST_BOUNDARY = 256, 128, 384
 _PRIMES = (2, 3, 5, 7, 11, 13, 17, 19, 23, 29, 31, 37)
@@ -68,17 +75,20 @@ class Box:
 class Shaping:
     """Samples and objective, as elementwise functions of rows u = A m + b in moving weights m.
 
-    The rows are, for the regulariser, the mean of ‖zᵢ − z*‖² − γ ΔV(zᵢ); for the level ΔV(zᵢ),
-    then the growth ∇V(yᵢ)ᵀ(yᵢ − z*)/‖yᵢ − z*‖², then ΔV(bⱼ). Energies and lengths are in natural units.
+    The rows are, for the regulariser, the mean of ‖zᵢ − z*‖² − γ ΔV(zᵢ); for the level ΔV(zᵢ), then
+    growth, then curvature, then ΔV(bⱼ). Energies and lengths are in natural units.
     """
 
     kind: str  # "regulariser" or "level"
     inner: Vector  # (N, n + nc) zᵢ − z*
-    rays: Vector  # (N, n + nc) yᵢ − z*
+    rays: Vector  # (N, n + nc) yᵢ − z* for the growth
+    near: Vector  # (N, n + nc) yᵢ − z* for the curvature
+    directions: Vector  # (N, n + nc) dᵢ, unit vectors in natural units
     boundary: Vector  # (B, n + nc) bⱼ − z*
     size: Vector  # (n + nc,) natural size of each state
     energy: float  # natural size of V
     ceiling: float  # largest level, in natural units
+    growth: float = _GROWTH  # η
     gamma: float = 1.0
 
     @property
@@ -89,36 +99,36 @@ class Shaping:
     @property
     def count(self) -> int:
         """Number of rows u."""
-        return 2 * len(self.inner) + len(self.boundary) if self.has_level else 1
-
-    def _squares(self, offsets: Vector) -> Vector:
-        """‖z − z*‖² in natural units, one per row of `offsets`."""
-        return np.asarray(((offsets / self.size) ** 2).sum(1))
+        return 3 * len(self.inner) + len(self.boundary) if self.has_level else 1
 
     def rows(
         self, terms: Terms, form: Form, weights: Vector, z_star: Vector
     ) -> tuple[Vector, Vector]:
         """(A, b) with u = A m + b for every m, the other weights fixed: (count, moving), (count,)."""
         moving = moving_weights(form)
+        row = _row(terms, form, moving)
 
-        def at(offsets: Vector) -> tuple[Vector, Vector]:
-            """ΔV and ∇Vᵀ(z − z*) at samples in natural units, (2, S); by the weights, (2, S, m)."""
-            row = _row(terms, form, moving).map(len(offsets))
-            both = [np.repeat(v[:, None], len(offsets), axis=1) for v in (weights, z_star)]
-            u, slopes = (np.asarray(v, float) / self.energy for v in row(*both, offsets.T))
-            return u, slopes.reshape(2, len(offsets), moving.size)
+        def at(kind: int, offsets: Vector, directions: Vector) -> tuple[Vector, Vector]:
+            """One entry of `row` at samples, in natural units, (S,), and its slopes, (S, moving)."""
+            S = len(offsets)
+            both = [np.repeat(v[:, None], S, axis=1) for v in (weights, z_star)]
+            values, slopes = row.map(S)(*both, offsets.T, directions.T)
+            u = np.asarray(values, float) / self.energy
+            A = np.asarray(slopes, float).reshape(3, S, moving.size) / self.energy
+            return u[kind], A[kind]
 
-        u, A = at(self.inner)
+        squares = [((o / self.size) ** 2).sum(1) for o in (self.inner, self.rays)]
+        parts = [at(_VALUE, self.inner, self.inner)]
         if not self.has_level:
-            A = -self.gamma * A[0].mean(0, keepdims=True)
-            u = np.array([np.mean(self._squares(self.inner) - self.gamma * u[0])])
-            return A, u - A @ weights[moving]
-        grow, grow_A = at(self.rays)
-        edge, edge_A = at(self.boundary)
-        square = self._squares(self.rays)
-        A = np.concatenate([A[0], grow_A[1] / square[:, None], edge_A[0]])
-        u = np.concatenate([u[0], grow[1] / square, edge[0]])
-        return A, u - A @ weights[moving]
+            u, A = parts[0]
+            mean = np.array([np.mean(squares[0] - self.gamma * u)])
+            slope = -self.gamma * A.mean(0, keepdims=True)
+            return slope, mean - slope @ weights[moving]
+        parts.append(at(_SLOPE, self.rays, self.rays / squares[1][:, None]))
+        parts.append(at(_CURVATURE, self.near, self.directions))
+        parts.append(at(_VALUE, self.boundary, self.boundary))
+        A = np.concatenate([slopes for _, slopes in parts])
+        return A, np.concatenate([u for u, _ in parts]) - A @ weights[moving]
 
     def objective(self, u: ca.SX, c: ca.SX) -> ca.SX:
         """The weighted objective, a sum of functions of (uᵢ, c)."""
@@ -127,30 +137,38 @@ class Shaping:
         N = len(self.inner)
         outside = (u[:N] - c) / (_SHARPNESS * self.ceiling)
         share = ca.sum1(1 + outside / ca.sqrt(1 + outside**2)) / (2 * N)
-        short = _relu(_GROWTH - u[N : 2 * N], _GROWTH_SMOOTHING)
-        return _WEIGHT[self.kind] * (share + _GROWTH_COST / N * ca.sum1(short))
+        growth, curvature = u[N : 2 * N], u[2 * N : 3 * N]
+        short = _GROWTH_COST * _relu(self.growth - growth, _GROWTH_SMOOTHING)
+        short += _CURVATURE_COST * _relu(self.growth - curvature, _GROWTH_SMOOTHING)
+        return _WEIGHT[self.kind] * (share + ca.sum1(short) / N)
 
     def margins(self, u: ca.SX, c: ca.SX) -> ca.SX:
         """What must not be negative."""
         if not self.has_level:
             return ca.SX(0, 1)
-        return ca.vertcat(self.ceiling - c, u[2 * len(self.inner) :] - c)
+        return ca.vertcat(self.ceiling - c, u[3 * len(self.inner) :] - c)
 
     def first_level(self, u: Vector) -> Vector:
         """Where c starts: (1,), or nothing."""
         if not self.has_level:
             return np.zeros(0)
-        return np.array([0.9 * min(self.ceiling, float(u[2 * len(self.inner) :].min()))])
+        return np.array([0.9 * min(self.ceiling, float(u[3 * len(self.inner) :].min()))])
 
 
 def make_shaping(
-    kind: str, box: Box, size: Vector, energy: float, gamma: float, seed: int
+    kind: str, box: Box, size: Vector, energy: float, a: float, gamma: float, seed: int
 ) -> Shaping:
-    """Samples of the box and of its boundary, the same for the same seed."""
+    """Samples of the box and of its boundary, the same for the same seed.
+
+    No more growth is asked for than the curvature `a` at z* allows in every direction.
+    """
     d = len(box.active)
     N = _INNER * max(1, d - 1)
-    inner = quasi_random(N, d + 1, seed)
-    inner, depth = inner[:, :d], inner[:, d:]
+    samples = quasi_random(N, d + 1, seed)
+    inner, depth = _offsets(box, samples[:, :d]), samples[:, d:]
+    directions = np.zeros_like(inner)
+    directions[:, list(box.active)] = np.random.default_rng(seed).normal(size=(N, d))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     faces = [(axis, side) for axis in range(d) for side in (0.0, 1.0)]
     total = min(_BOUNDARY * max(1, d - 1), _MOST_BOUNDARY)
     each = max(1, total // len(faces)) if d > 1 else 1
@@ -161,8 +179,11 @@ def make_shaping(
     ceiling = box.ceiling / energy
     return Shaping(
         kind=kind,
-        inner=_offsets(box, inner),
-        rays=_offsets(box, inner) * (_NEAREST + (1 - _NEAREST) * depth),
+        inner=inner,
+        near=inner * _CONVEX,
+        directions=directions * size,
+        growth=min(_GROWTH, _BELOW_A * a * float(size[list(box.active)].min()) ** 2 / energy),
+        rays=inner * (_NEAREST + (1 - _NEAREST) * depth),
         boundary=_offsets(box, np.concatenate(boundary)),
         size=size,
         energy=energy,
@@ -219,22 +240,21 @@ def _affine_weights(network: Network) -> npt.NDArray[np.int_]:
     return np.r_[end - rows * columns - rows : end, end : end + d]
 
 
-def _row(terms: Terms, form: Form, moving: Sequence[int]) -> ca.Function:
-    """(weights, z*, offset) -> (ΔV, ∇Vᵀ offset) as (2, 1), and its Jacobian in the moving weights."""
-    w, z_star, o = (
-        ca.MX.sym("w", form.size),
-        ca.MX.sym("z_star", terms.n + terms.nc),
-        ca.MX.sym("o", terms.n + terms.nc),
-    )
-    z = ca.MX.sym("z", terms.n + terms.nc)
+def _row(terms: Terms, form: Form, moving: npt.NDArray[np.int_]) -> ca.Function:
+    """(weights, z*, o, d) -> (ΔV, ∇Vᵀd, dᵀ∇²V d) at z* + o, and its Jacobian in what moves."""
+    N = terms.n + terms.nc
+    w, z_star, o, d = (ca.MX.sym(s, k) for s, k in zip("wzod", (form.size, N, N, N), strict=True))
+    z = ca.MX.sym("z", N)
     V = value(terms, z, form.controller_energy(w), form.casimir(w), form.outer(w))
-    level = ca.Function("V", [w, z], [V, ca.gradient(V, z)])
-    here, slope = level(w, z_star + o)
-    both = ca.vertcat(here - level(w, z_star)[0], ca.dot(slope, o))
-    plain = ca.Function("both", [w, z_star, o], [both]).expand()
-    ws, zs, os = (ca.SX.sym(s.name(), s.numel()) for s in (w, z_star, o))
-    u = plain(ws, zs, os)
-    return ca.Function("row", [ws, zs, os], [u, ca.densify(ca.jacobian(u, ws)[:, list(moving)])])
+    slope = ca.jtimes(V, z, d)
+    jet = ca.Function("jet", [w, z, d], [V, slope, ca.jtimes(slope, z, d)])
+    here, first, second = jet(w, z_star + o, d)
+    both = ca.vertcat(here - jet(w, z_star, d)[0], first, second)
+    plain = ca.Function("plain", [w, z_star, o, d], [both]).expand()
+    symbols = [ca.SX.sym(s.name(), s.numel()) for s in (w, z_star, o, d)]
+    u = plain(*symbols)
+    slopes = ca.densify(ca.jacobian(u, symbols[0])[:, moving.tolist()])
+    return ca.Function("row", symbols, [u, slopes])
 
 
 def _relu(v: ca.SX, scale: float) -> ca.SX:

@@ -214,7 +214,7 @@ def _shaping(frame: Design, natural: Scales, options: Options) -> Shaping:
         ceiling=ceiling if ceiling > 0 else np.inf,
     )
     return make_shaping(
-        options.shape, box, natural.state, natural.energy, options.gamma, options.seed
+        options.shape, box, natural.state, natural.energy, frame.a, options.gamma, options.seed
     )
 
 
