@@ -25,6 +25,7 @@ moves, and the Hessian of both objectives is exact at the price of one product A
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import casadi as ca
@@ -34,7 +35,7 @@ import numpy.typing as npt
 from necc_casadi.lyapunov import Form, Terms, value
 from necc_casadi.networks import Network, Vector
 
-__all__ = ["SHAPES", "Box", "Shaping", "make_shaping", "moving_weights", "quasi_random"]
+__all__ = ["SHAPES", "Box", "Shaping", "make_shaping", "moving_weights", "quasi_random", "sharper"]
 
 #: What can be asked for; "none" leaves V to the conditions at z*.
 SHAPES = ("none", "regulariser", "level")
@@ -51,13 +52,19 @@ _BELOW_A = 0.4
 #: Growth is sampled from this share of the way to the boundary on.
 _NEAREST = 0.05
 #: Curvature is sampled up to this share of the way.
-_CONVEX = 0.3
+_CONVEX = 0.2
 #: Entries of a sample's row: ΔV, ∇Vᵀd, dᵀ∇²V d.
 _VALUE, _SLOPE, _CURVATURE = range(3)
 #: Weight beside the other terms of the objective, which then only select among equal shapes.
 _WEIGHT = {"regulariser": 100.0, "level": 5000.0}
-#: Samples inside, and of the boundary for every dimension beyond the first.
-_INNER, _BOUNDARY, _MOST_BOUNDARY = 256, 128, 384
+#: The largest level in units of energy, as for a momentum at twice its natural size.
+_HIGHEST = 2.0
+#: Hidden weights start this much larger than those of unshaped networks.
+_DETAIL = 1.5
+#: Samples inside, and of the boundary.
+_INNER, _BOUNDARY = 256, 128
+#: Samples are chosen among this many times as many, where V can be below the largest level at all.
+_CANDIDATES = 8
 _PRIMES = (2, 3, 5, 7, 11, 13, 17, 19, 23, 29, 31, 37)
 
 
@@ -68,7 +75,9 @@ class Box:
     lo: Vector  # (n + nc,) domain − z*
     hi: Vector  # (n + nc,)
     active: tuple[int, ...]  # the states that are sampled; the others rest
+    shaped: tuple[int, ...]  # those of them that the networks act on
     ceiling: float  # V − V(z*) below which the resting states stay in the domain; may be ∞
+    excess: Callable[[Vector], Vector]  # offsets (S, n + nc) -> energy that no network takes away
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +96,6 @@ class Shaping:
     boundary: Vector  # (B, n + nc) bⱼ − z*
     size: Vector  # (n + nc,) natural size of each state
     energy: float  # natural size of V
-    ceiling: float  # largest level, in natural units
     growth: float = _GROWTH  # η
     gamma: float = 1.0
 
@@ -99,7 +107,11 @@ class Shaping:
     @property
     def count(self) -> int:
         """Number of rows u."""
-        return 3 * len(self.inner) + len(self.boundary) if self.has_level else 1
+        return self._inside + len(self.boundary) if self.has_level else 1
+
+    @property
+    def _inside(self) -> int:
+        return len(self.inner) + len(self.rays) + len(self.near)
 
     def rows(
         self, terms: Terms, form: Form, weights: Vector, z_star: Vector
@@ -134,25 +146,25 @@ class Shaping:
         """The weighted objective, a sum of functions of (uᵢ, c)."""
         if not self.has_level:
             return _WEIGHT[self.kind] * _relu(u, _SMOOTHING)
-        N = len(self.inner)
-        outside = (u[:N] - c) / (_SHARPNESS * self.ceiling)
+        N, M = len(self.inner), len(self.rays)
+        outside = (u[:N] - c) / (_SHARPNESS * _HIGHEST)
         share = ca.sum1(1 + outside / ca.sqrt(1 + outside**2)) / (2 * N)
-        growth, curvature = u[N : 2 * N], u[2 * N : 3 * N]
+        growth, curvature = u[N : N + M], u[N + M : N + 2 * M]
         short = _GROWTH_COST * _relu(self.growth - growth, _GROWTH_SMOOTHING)
         short += _CURVATURE_COST * _relu(self.growth - curvature, _GROWTH_SMOOTHING)
-        return _WEIGHT[self.kind] * (share + ca.sum1(short) / N)
+        return _WEIGHT[self.kind] * (share + ca.sum1(short) / M)
 
     def margins(self, u: ca.SX, c: ca.SX) -> ca.SX:
         """What must not be negative."""
         if not self.has_level:
             return ca.SX(0, 1)
-        return ca.vertcat(self.ceiling - c, u[3 * len(self.inner) :] - c)
+        return ca.vertcat(_HIGHEST - c, u[self._inside :] - c)
 
     def first_level(self, u: Vector) -> Vector:
         """Where c starts: (1,), or nothing."""
         if not self.has_level:
             return np.zeros(0)
-        return np.array([0.9 * min(self.ceiling, float(u[3 * len(self.inner) :].min()))])
+        return np.array([0.9 * min(_HIGHEST, float(u[self._inside :].min()))])
 
 
 def make_shaping(
@@ -162,41 +174,58 @@ def make_shaping(
 
     No more growth is asked for than the curvature `a` at z* allows in every direction.
     """
-    d = len(box.active)
-    N = _INNER * max(1, d - 1)
-    samples = quasi_random(N, d + 1, seed)
-    inner, depth = _offsets(box, samples[:, :d]), samples[:, d:]
-    directions = np.zeros_like(inner)
-    directions[:, list(box.active)] = np.random.default_rng(seed).normal(size=(N, d))
+    shaped = list(box.shaped)
+    ceiling = min(box.ceiling, _least_excess(box, seed))
+    inner = _offsets(box, box.active, quasi_random(_CANDIDATES * _INNER, len(box.active), seed))
+    inner = inner[box.excess(inner) <= ceiling][:_INNER]
+    cube = quasi_random(_INNER, len(shaped) + 1, seed)
+    around, depth = _offsets(box, box.shaped, cube[:, 1:]), cube[:, :1]
+    directions = np.zeros_like(around)
+    directions[:, shaped] = np.random.default_rng(seed).normal(size=(_INNER, len(shaped)))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    faces = [(axis, side) for axis in range(d) for side in (0.0, 1.0)]
-    total = min(_BOUNDARY * max(1, d - 1), _MOST_BOUNDARY)
-    each = max(1, total // len(faces)) if d > 1 else 1
-    boundary = [
-        np.insert(quasi_random(each, d - 1, seed + 1 + k), axis, side, axis=1)
-        for k, (axis, side) in enumerate(faces)
-    ]
-    ceiling = box.ceiling / energy
+    if kind == "level":  # what matters is how far V lies below the largest level
+        energy = ceiling / _HIGHEST if np.isfinite(ceiling) else energy
     return Shaping(
         kind=kind,
         inner=inner,
-        near=inner * _CONVEX,
+        rays=around * (_NEAREST + (1 - _NEAREST) * depth),
+        near=around * _CONVEX,
         directions=directions * size,
-        growth=min(_GROWTH, _BELOW_A * a * float(size[list(box.active)].min()) ** 2 / energy),
-        rays=inner * (_NEAREST + (1 - _NEAREST) * depth),
-        boundary=_offsets(box, np.concatenate(boundary)),
+        boundary=np.concatenate(list(_faces(box, box.shaped, _BOUNDARY, seed))),
         size=size,
         energy=energy,
-        ceiling=ceiling if np.isfinite(ceiling) else 2.0,
+        growth=min(_GROWTH, _BELOW_A * a * float(size[shaped].min()) ** 2 / energy),
         gamma=gamma,
     )
 
 
-def _offsets(box: Box, shares: Vector) -> Vector:
-    """Points of the box given by shares of its sides, (points, n + nc)."""
-    active = list(box.active)
+def _least_excess(box: Box, seed: int) -> float:
+    """Level below which states that are not shaped stay in the box, as far as samples tell."""
+    others = [i for i in box.active if i not in box.shaped]
+    faces = _faces(box, box.active, _BOUNDARY, seed)
+    values = [
+        box.excess(face)
+        for i, face in zip(np.repeat(box.active, 2), faces, strict=True)
+        if i in others
+    ]
+    return float(np.min(values, initial=np.inf))
+
+
+def _faces(box: Box, states: Sequence[int], count: int, seed: int) -> Iterator[Vector]:
+    """Samples of each face of the box in some of its states, the others at z*; low, high, low, …"""
+    d = len(states)
+    each = max(1, count // (2 * d)) if d > 1 else 1
+    for axis in range(d):
+        for side in (0.0, 1.0):
+            shares = quasi_random(each, d - 1, seed + 2 * axis + int(side) + 1)
+            yield _offsets(box, states, np.insert(shares, axis, side, axis=1))
+
+
+def _offsets(box: Box, states: Sequence[int], shares: Vector) -> Vector:
+    """Points of the box given by shares of its sides in some states, (points, n + nc)."""
+    chosen = list(states)
     result = np.zeros((len(shares), len(box.lo)))
-    result[:, active] = box.lo[active] + shares * (box.hi - box.lo)[active]
+    result[:, chosen] = box.lo[chosen] + shares * (box.hi - box.lo)[chosen]
     return result
 
 
@@ -231,6 +260,14 @@ def moving_weights(form: Form) -> npt.NDArray[np.int_]:
         result.append(at + _affine_weights(network))
         at += network.size
     return np.concatenate(result)
+
+
+def sharper(form: Form) -> Vector:
+    """Factors for random weights: hidden layers that stay as they are need more detail, (size,)."""
+    parts = [np.ones(network.size) for network in (form.hc, form.k)]
+    for network, factor in zip((form.hc, form.k), parts, strict=True):
+        factor[: sum(rows * columns + rows for rows, columns in network.shapes[:-1])] = _DETAIL
+    return np.concatenate(parts)
 
 
 def _affine_weights(network: Network) -> npt.NDArray[np.int_]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Set
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -207,15 +207,33 @@ def _shaping(frame: Design, natural: Scales, options: Options) -> Shaping:
         )
     domain, resting = domain_of(frame), quadratic_states(frame)
     ceiling, _ = momentum_ceiling(frame, resting, domain, 0.0)
+    used = set().union(*(c.free_symbols for c in frame.casimirs.functions))
     box = Box(
         lo=domain.lo - frame.z_star,
         hi=domain.hi - frame.z_star,
         active=tuple(i for i in range(frame.loop.n) if i not in resting),
+        shaped=tuple(i for i, s in enumerate(frame.loop.z) if s in used or i >= frame.loop.plant.n),
         ceiling=ceiling if ceiling > 0 else np.inf,
+        excess=lambda offsets: _excess(frame, used, offsets),
     )
     return make_shaping(
         options.shape, box, natural.state, natural.energy, frame.a, options.gamma, options.seed
     )
+
+
+def _excess(frame: Design, used: Set[sp.Symbol], offsets: Vector) -> Vector:
+    """H above its value with the states that no Casimir contains at the target, (S,).
+
+    With Φ = H + Hc + C, V has this energy beyond what the networks give it; not finite where the
+    model is not.
+    """
+    loop, terms = frame.loop, frame.lyapunov.terms
+    shaped = [i for i, s in enumerate(loop.plant.x) if s in used]
+    x = offsets[:, : terms.n].T + frame.z_star[: terms.n, None]
+    still = np.repeat(frame.z_star[: terms.n, None], x.shape[1], axis=1)
+    still[shaped] = x[shaped]
+    H = terms.H.map(x.shape[1])
+    return np.asarray(H(x) - H(still), float).ravel()
 
 
 def _finite_at(casimirs: Casimirs, x_star: Mapping[sp.Symbol, sp.Expr]) -> Casimirs:

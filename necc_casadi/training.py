@@ -42,7 +42,7 @@ from necc_casadi.lifting import Lifting, Scales
 from necc_casadi.lyapunov import Form, Terms
 from necc_casadi.networks import KAPPA_MIN, Vector
 from necc_casadi.outcome import Start
-from necc_casadi.shaping import Shaping, moving_weights
+from necc_casadi.shaping import Shaping, moving_weights, sharper
 
 __all__ = ["Solution", "train"]
 
@@ -398,6 +398,8 @@ class _Solver:
         lifting, nc = self.lifting, self.lifting.terms.nc
         rng = np.random.default_rng(seed)
         w0 = lifting.form.initial(rng)
+        if self.shaping is not None:
+            w0 *= sharper(lifting.form)
         spread = 0.5 * lifting.scales.state[-nc:] if away else np.zeros(nc)
         xi0 = lifting.guess + rng.normal(0.0, 1.0, nc) * spread
         w0 = lifting.centred(w0, xi0, STIFFER * self.kappa_min)
