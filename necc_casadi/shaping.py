@@ -17,7 +17,8 @@ As published, with V(zᵢ) in place of ΔV(zᵢ), an offset of V would minimise 
 
 σ(v) = (1 + v/√(1 + v²))/2. The growth gᵢ = ∇V(yᵢ)ᵀ(yᵢ − z*)/‖yᵢ − z*‖² keeps other critical points
 out, at samples yᵢ that crowd around z*; the curvature kᵢ = dᵢᵀ∇²V(yᵢ)dᵢ in unit directions dᵢ, at
-samples yet closer, keeps V convex around z*, where a certificate must tell z̄ from other points. A certificate, not these samples, says what was reached.
+samples yet closer, keeps V convex around z*, where a certificate must tell z̄ from other points.
+A certificate, not these samples, says what was reached.
 
 Shaped networks keep their hidden layers at their random initialisation: V is then affine in what
 moves, and the Hessian of both objectives is exact at the price of one product AᵀDA.
@@ -116,12 +117,12 @@ class Shaping:
     def rows(
         self, terms: Terms, form: Form, weights: Vector, z_star: Vector
     ) -> tuple[Vector, Vector]:
-        """(A, b) with u = A m + b for every m, the other weights fixed: (count, moving), (count,)."""
+        """(A, b) with u = A m + b, other weights fixed: (count, moving) and (count,)."""
         moving = moving_weights(form)
         row = _row(terms, form, moving)
 
         def at(kind: int, offsets: Vector, directions: Vector) -> tuple[Vector, Vector]:
-            """One entry of `row` at samples, in natural units, (S,), and its slopes, (S, moving)."""
+            """One entry of `row` in natural units, (S,), and its slopes, (S, moving)."""
             S = len(offsets)
             both = [np.repeat(v[:, None], S, axis=1) for v in (weights, z_star)]
             values, slopes = row.map(S)(*both, offsets.T, directions.T)
@@ -200,19 +201,14 @@ def make_shaping(
 
 
 def _least_excess(box: Box, seed: int) -> float:
-    """Level below which states that are not shaped stay in the box, as far as samples tell."""
+    """Level that keeps the states that are not shaped in the box, the others at z*, by samples."""
     others = [i for i in box.active if i not in box.shaped]
-    faces = _faces(box, box.active, _BOUNDARY, seed)
-    values = [
-        box.excess(face)
-        for i, face in zip(np.repeat(box.active, 2), faces, strict=True)
-        if i in others
-    ]
-    return float(np.min(values, initial=np.inf))
+    faces = list(_faces(box, others, _BOUNDARY, seed))
+    return float(np.min([box.excess(face).min() for face in faces], initial=np.inf))
 
 
 def _faces(box: Box, states: Sequence[int], count: int, seed: int) -> Iterator[Vector]:
-    """Samples of each face of the box in some of its states, the others at z*; low, high, low, …"""
+    """Samples of each face of the box in some of its states, the others at z*."""
     d = len(states)
     each = max(1, count // (2 * d)) if d > 1 else 1
     for axis in range(d):
@@ -263,7 +259,7 @@ def moving_weights(form: Form) -> npt.NDArray[np.int_]:
 
 
 def sharper(form: Form) -> Vector:
-    """Factors for random weights: hidden layers that stay as they are need more detail, (size,)."""
+    """Factors for random weights: features of more detail in the hidden layers, (size,)."""
     parts = [np.ones(network.size) for network in (form.hc, form.k)]
     for network, factor in zip((form.hc, form.k), parts, strict=True):
         factor[: sum(rows * columns + rows for rows, columns in network.shapes[:-1])] = _DETAIL

@@ -82,7 +82,7 @@ _LIMITED_MEMORY = {
 
 
 #: A shape need not be optimal to many digits; the constraints are exact all the same.
-_SHAPED = {"ipopt.tol": 1e-4, "ipopt.acceptable_tol": 1e-3}
+_SHAPED = {"ipopt.tol": 1e-4, "ipopt.acceptable_tol": 1e-3, "ipopt.max_iter": 200}
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,7 +123,8 @@ def train(
 ) -> Solution:
     """Minimise eq. Loss over the weights and ξ*.
 
-    Each start runs the hard form; if none solves it, the soft form runs from each start.
+    Each start runs the shaped form where one is asked for, then, as long as none is solved, the
+    hard form and the soft form.
 
     Parameters
     ----------
@@ -156,11 +157,11 @@ def train(
     guess = np.zeros(terms.nc) if xi_guess is None else np.asarray(xi_guess, float)
     lifting = Lifting(terms, form, np.asarray(x_star, float), scales, guess)
     results: list[tuple[Start, Vector, Vector]] = []
-    for make in (_hard, _soft):
+    forms = [(_hard, None), (_soft, None)]
+    for make, shaped in forms if shaping is None else [(_hard, shaping), *forms]:
         program = make(lifting, a, kappa_min)
         if program is None:
             continue
-        shaped = shaping if program.mode == "hard" else None
         solver = _Solver(lifting, program, a, kappa_min, penalty, shaped, verbose)
         for index in range(starts):
             results.append(solver.run(seed + index, away=index > 0))
@@ -175,7 +176,7 @@ def train(
 def _rank(start: Start) -> tuple[bool, float]:
     """Solved starts first, by the shape of V; the others by their loss."""
     solved = start.loss <= SOLVED
-    return (not solved, start.objective if solved and start.mode == "hard" else start.loss)
+    return (not solved, start.objective if solved and start.mode != "soft" else start.loss)
 
 
 # --- the two forms, in the lifted variables ------------------------------------------------------
@@ -398,7 +399,7 @@ class _Solver:
         lifting, nc = self.lifting, self.lifting.terms.nc
         rng = np.random.default_rng(seed)
         w0 = lifting.form.initial(rng)
-        if self.shaping is not None:
+        if self.shaping is not None and self.shaping.has_level:
             w0 *= sharper(lifting.form)
         spread = 0.5 * lifting.scales.state[-nc:] if away else np.zeros(nc)
         xi0 = lifting.guess + rng.normal(0.0, 1.0, nc) * spread
@@ -431,7 +432,7 @@ class _Solver:
         stats = self.solver.stats()
         start = Start(
             seed=seed,
-            mode=self.program.mode,
+            mode="shaped" if self.shaping is not None else self.program.mode,
             status=str(stats["return_status"]),
             iterations=int(stats["iter_count"]),
             seconds=seconds,
