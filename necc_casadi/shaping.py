@@ -54,6 +54,8 @@ _BELOW_A = 0.4
 _NEAREST = 0.05
 #: Curvature is sampled up to this share of the way.
 _CONVEX = 0.2
+#: V where the model is not defined, in natural units: far above every level.
+_AT_A_POLE = 1e3
 #: Entries of a sample's row: ΔV, ∇Vᵀd, dᵀ∇²V d.
 _VALUE, _SLOPE, _CURVATURE = range(3)
 #: Weight beside the other terms of the objective, which then only select among equal shapes.
@@ -126,9 +128,11 @@ class Shaping:
             S = len(offsets)
             both = [np.repeat(v[:, None], S, axis=1) for v in (weights, z_star)]
             values, slopes = row.map(S)(*both, offsets.T, directions.T)
-            u = np.asarray(values, float) / self.energy
-            A = np.asarray(slopes, float).reshape(3, S, moving.size) / self.energy
-            return u[kind], A[kind]
+            u = np.asarray(values, float)[kind] / self.energy
+            A = np.asarray(slopes, float).reshape(3, S, moving.size)[kind] / self.energy
+            poles = ~(np.isfinite(u) & np.isfinite(A).all(axis=1))
+            u[poles], A[poles] = _AT_A_POLE, 0.0
+            return u, A
 
         squares = [((o / self.size) ** 2).sum(1) for o in (self.inner, self.rays)]
         parts = [at(_VALUE, self.inner, self.inner)]
@@ -177,8 +181,10 @@ def make_shaping(
     """
     shaped = list(box.shaped)
     ceiling = min(box.ceiling, _least_excess(box, seed))
+    ceiling = ceiling if ceiling > 0 else np.inf  # nothing keeps them in: no region, whatever V is
     inner = _offsets(box, box.active, quasi_random(_CANDIDATES * _INNER, len(box.active), seed))
-    inner = inner[box.excess(inner) <= ceiling][:_INNER]
+    within = inner[box.excess(inner) <= ceiling]
+    inner = (within if len(within) else inner)[:_INNER]
     cube = quasi_random(_INNER, len(shaped) + 1, seed)
     around, depth = _offsets(box, box.shaped, cube[:, 1:]), cube[:, :1]
     directions = np.zeros_like(around)
@@ -255,7 +261,7 @@ def moving_weights(form: Form) -> npt.NDArray[np.int_]:
     for network in (form.hc, form.k):
         result.append(at + _affine_weights(network))
         at += network.size
-    return np.concatenate(result)
+    return np.concatenate(result).astype(int)
 
 
 def sharper(form: Form) -> Vector:
@@ -270,7 +276,7 @@ def _affine_weights(network: Network) -> npt.NDArray[np.int_]:
     rows, columns = network.shapes[-1]
     d = network.inputs if network.quadratic else 0
     end = network.size - 2 * d
-    return np.r_[end - rows * columns - rows : end, end : end + d]
+    return np.arange(end - rows * columns - rows, end + d)
 
 
 def _row(terms: Terms, form: Form, moving: npt.NDArray[np.int_]) -> ca.Function:

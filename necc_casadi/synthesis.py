@@ -54,7 +54,7 @@ class Options:
     convex: bool = False  # quadratic parts stiff enough to make V convex everywhere
     learn_casimir: bool = False  # a network C(z), a Casimir only approximately
     shape: str = "none"  # what is asked of V over the domain: a key of SHAPES
-    gamma: float = 1.0  # of the regulariser: ‖z − z*‖² ≤ γ ΔV on average, in natural units
+    gamma: float | None = None  # of the regulariser: ‖z − z*‖² ≤ γ ΔV on average, natural units
     natural_units: bool = True  # scale the networks to the plant's domain and energy
     seed: int = 0
     starts: int = 1
@@ -122,7 +122,7 @@ def design(
     a = requested
     if verdict.a_max is not None and requested >= verdict.a_max and not options.keep_a:
         a = _BELOW_CEILING * verdict.a_max
-    frame = Design(
+    untrained = Design(
         loop=loop,
         casimirs=casimirs,
         x_star=tuple(x_star[s] for s in loop.plant.x),
@@ -147,7 +147,7 @@ def design(
         xi_guess=guess,
         kappa_min=least_kappa(terms, scales, verdict, x, guess, a) if options.convex else KAPPA_MIN,
         penalty=penalty,
-        shaping=None if options.shape == "none" else _shaping(frame, natural, options),
+        shaping=None if options.shape == "none" else _shaping(untrained, natural, options),
         report=report,
         verbose=options.verbose,
     )
@@ -155,7 +155,7 @@ def design(
     undamped = LyapunovFunction(terms, form, solution.weights, np.eye(terms.m), np.eye(terms.m))
     D, Dc = choose_damping(undamped, loop, z_star, options.D, options.Dc)
     made = replace(
-        frame,
+        untrained,
         weights=solution.weights,
         xi_star=solution.xi_star,
         D=D,
@@ -178,11 +178,18 @@ def check_options(options: Options) -> None:
     """
     if options.shape not in SHAPES:
         raise OptionError(
-            "usage", f"shape = {options.shape!r} is not known", f"Choose from {', '.join(SHAPES)}."
+            "usage", f"--shape {options.shape} is not known", f"Choose from {', '.join(SHAPES)}."
         )
-    if not 0 < options.gamma < np.inf:
+    if options.gamma is not None and options.shape != "regulariser":
         raise OptionError(
-            "usage", f"gamma = {options.gamma} is not a positive number", "Try gamma = 1."
+            "usage",
+            f"--gamma {options.gamma:g} belongs to the regulariser, but the shape is "
+            f"{options.shape}",
+            "Add --shape regulariser, or drop --gamma.",
+        )
+    if options.gamma is not None and not 0 < options.gamma < np.inf:
+        raise OptionError(
+            "usage", f"--gamma {options.gamma} is not a positive number", "Try --gamma 1."
         )
     if options.shape == "none":
         return
@@ -197,40 +204,43 @@ def check_options(options: Options) -> None:
             )
 
 
-def _shaping(frame: Design, natural: Scales, options: Options) -> Shaping:
+def _shaping(untrained: Design, natural: Scales, options: Options) -> Shaping:
     """Samples of the domain around z*, momenta at rest, and what to ask of V there."""
-    if frame.form.betas:
+    if untrained.form.betas:
         raise OptionError(
             "usage",
             f"--shape {options.shape} needs C = K(c₁, …, c_r), but the form is K(Σ βᵢ(cᵢ))",
             "Add --casimir-form joint.",
         )
-    domain, resting = domain_of(frame), quadratic_states(frame)
-    ceiling, _ = momentum_ceiling(frame, resting, domain, 0.0)
-    used = set().union(*(c.free_symbols for c in frame.casimirs.functions))
+    domain, resting = domain_of(untrained), quadratic_states(untrained)
+    ceiling, _ = momentum_ceiling(untrained, resting, domain, 0.0)
+    used = set().union(*(c.free_symbols for c in untrained.casimirs.functions))
     box = Box(
-        lo=domain.lo - frame.z_star,
-        hi=domain.hi - frame.z_star,
-        active=tuple(i for i in range(frame.loop.n) if i not in resting),
-        shaped=tuple(i for i, s in enumerate(frame.loop.z) if s in used or i >= frame.loop.plant.n),
+        lo=domain.lo - untrained.z_star,
+        hi=domain.hi - untrained.z_star,
+        active=tuple(i for i in range(untrained.loop.n) if i not in resting),
+        shaped=tuple(
+            i for i, s in enumerate(untrained.loop.z) if s in used or i >= untrained.loop.plant.n
+        ),
         ceiling=ceiling if ceiling > 0 else np.inf,
-        excess=lambda offsets: _excess(frame, used, offsets),
+        excess=lambda offsets: _excess(untrained, used, offsets),
     )
+    gamma = 1.0 if options.gamma is None else options.gamma
     return make_shaping(
-        options.shape, box, natural.state, natural.energy, frame.a, options.gamma, options.seed
+        options.shape, box, natural.state, natural.energy, untrained.a, gamma, options.seed
     )
 
 
-def _excess(frame: Design, used: Set[sp.Symbol], offsets: Vector) -> Vector:
+def _excess(untrained: Design, used: Set[sp.Symbol], offsets: Vector) -> Vector:
     """H above its value with the states that no Casimir contains at the target, (S,).
 
     With Φ = H + Hc + C, V has this energy beyond what the networks give it; not finite where the
     model is not.
     """
-    loop, terms = frame.loop, frame.lyapunov.terms
+    loop, terms = untrained.loop, untrained.lyapunov.terms
     shaped = [i for i, s in enumerate(loop.plant.x) if s in used]
-    x = offsets[:, : terms.n].T + frame.z_star[: terms.n, None]
-    still = np.repeat(frame.z_star[: terms.n, None], x.shape[1], axis=1)
+    x = offsets[:, : terms.n].T + untrained.z_star[: terms.n, None]
+    still = np.repeat(untrained.z_star[: terms.n, None], x.shape[1], axis=1)
     still[shaped] = x[shaped]
     H = terms.H.map(x.shape[1])
     return np.asarray(H(x) - H(still), float).ravel()

@@ -408,7 +408,7 @@ class _Solver:
         first, p = self.program.initial(small), np.concatenate([xi0, w0])
         lower, upper = self.lower, np.full(self.lower.size, np.inf)
         if self.shaping is not None:
-            A, b, moving = self._sampled(w0, xi0)
+            A, b, moving = self._sampled(self.shaping, w0, xi0)
             level = self.shaping.first_level(A @ w0[moving] + b)
             first = np.concatenate([first[: first.size - level.size], level])
             p = np.concatenate([p, A.ravel(order="F"), b])
@@ -441,9 +441,11 @@ class _Solver:
         )
         return start, weights, xi_star
 
-    def _sampled(self, w0: Vector, xi0: Vector) -> tuple[Vector, Vector, npt.NDArray[np.int_]]:
+    def _sampled(
+        self, shaping: Shaping, w0: Vector, xi0: Vector
+    ) -> tuple[Vector, Vector, npt.NDArray[np.int_]]:
         """(A, b, moving) of u = A ŵ[moving] + b, for hidden layers and samples at this start."""
-        lifting, shaping = self.lifting, self.shaping
+        lifting = self.lifting
         moving = moving_weights(lifting.form)
         weights, z_star = lifting.sigma * w0 + lifting.tau, np.concatenate([lifting.x_star, xi0])
         A, b = shaping.rows(lifting.terms, lifting.form, weights, z_star)
