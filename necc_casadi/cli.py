@@ -77,6 +77,7 @@ class _Positive(click.FloatRange):
 
 _task = grouped("Task")
 _form = grouped("Form of the design")
+_region = grouped("Region of attraction")
 _solver = grouped("Solver and damping")
 _output = grouped("Output")
 
@@ -136,6 +137,20 @@ _output = grouped("Output")
     "--structure",
     metavar="NAME",
     help="A controller structure that the tool offered in a note, e.g. resonator.",
+)
+@_region(
+    "--shape",
+    type=click.Choice(["none", "regulariser", "level"]),
+    default="none",
+    show_default=True,
+    help="What to ask of V over samples of the domain, beside the conditions at z*. level: the "
+    "largest share of the domain below a level that its boundary is not below. regulariser: "
+    "‖z − z*‖² ≤ γ (V(z) − V(z*)) on average. For Φ = H + Hc + C in the joint form.",
+)
+@_region(
+    "--gamma",
+    type=_Positive(),
+    help="γ of the regulariser, in natural units: the smaller, the steeper V.  [default: 1]",
 )
 @_solver(
     "--a",
@@ -238,6 +253,8 @@ def _design(model: Path, **options: Any) -> int:
             "a",
             "convex",
             "learn_casimir",
+            "shape",
+            "gamma",
         )
         chosen = {key: options[key] for key in form if options[key] is not None}
         chosen |= {key: options[key] for key in ("seed", "starts")} | {"verbose": options["debug"]}

@@ -29,7 +29,9 @@ _TRIES = 4
 
 def is_neutral(loop: ClosedLoop, casimirs: Casimirs) -> bool:
     """Whether H depends on no state that a Casimir contains."""
-    used = set().union(*(c.free_symbols for c in casimirs.functions)) if casimirs.functions else set()
+    used = (
+        set().union(*(c.free_symbols for c in casimirs.functions)) if casimirs.functions else set()
+    )
     return bool(used) and not used & loop.plant.H.free_symbols
 
 

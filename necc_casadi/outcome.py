@@ -61,11 +61,11 @@ class Start:
     """Outcome of one start of the solver."""
 
     seed: int
-    mode: str  # "hard": g = 0, t = 0 imposed; "soft": min s + t
+    mode: str  # "hard": g = 0, t = 0 imposed; "shaped": hard, over samples; "soft": min s + t
     status: str  # IPOPT's return status
     iterations: int
     seconds: float  # inside IPOPT
-    objective: float  # shape objective (hard) or ε (soft), as IPOPT saw it
+    objective: float  # shape objective (hard, shaped) or ε (soft), as IPOPT saw it
     loss: float  # ε recomputed from the weights (eq. Loss)
 
     @property

@@ -36,7 +36,7 @@ from necc_casadi.report import Findings, design_block
 from necc_casadi.sampling import check_model_at
 from necc_casadi.simulation import random_states, simulate, simulated_share
 from necc_casadi.structures import suggest_controllers
-from necc_casadi.synthesis import Options, design, paper_options
+from necc_casadi.synthesis import Options, check_options, design, paper_options
 from necc_casadi.target import (
     free_coordinates,
     nearest_equilibrium,
@@ -169,6 +169,11 @@ class _Making:
         best = min(made.starts, key=lambda s: s.loss)
         if best.loss > _NOTED_LOSS:
             found.notes.append(f"IPOPT: {best.explained.meaning}. {best.explained.remedy}")
+        if self.options.shape != "none" and best.mode != "shaped":
+            found.notes.append(
+                f"--shape {self.options.shape} was not reached: V meets the conditions at z* only. "
+                "Try another --seed, more --starts or wider networks"
+            )
         return made
 
     def certify(self, made: Design) -> Certificate:
@@ -348,7 +353,9 @@ def _options(request: Request, model: Model) -> Options:
         dampings["Dc"] = damping_matrix(
             np.array(request.controller_damping), m, "--controller-damping"
         )
-    return replace(options, **request.chosen, **dampings)
+    options = replace(options, **request.chosen, **dampings)
+    check_options(options)
+    return options
 
 
 def _notes(model: Model, casimirs: Casimirs) -> list[str]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Set
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,9 +11,12 @@ import sympy as sp
 from necc_casadi.artifact import Design
 from necc_casadi.assignability import Verdict
 from necc_casadi.casimirs import Casimirs
+from necc_casadi.certificate.region import domain_of, momentum_ceiling
+from necc_casadi.certificate.structure import quadratic_states
 from necc_casadi.conditions import at
 from necc_casadi.convexity import least_kappa
 from necc_casadi.damping import choose_damping
+from necc_casadi.errors import OptionError
 from necc_casadi.learned import casimir_penalty, casimir_residual, state_inputs
 from necc_casadi.lifting import Scales
 from necc_casadi.loop import ClosedLoop
@@ -22,9 +25,10 @@ from necc_casadi.networks import KAPPA_MIN, MonotonePhi, Network, Vector
 from necc_casadi.neutral import HELD_XI, NEUTRAL_HC, NEUTRAL_K, is_neutral, widest_chart_at
 from necc_casadi.outcome import Start
 from necc_casadi.plant import gradient
+from necc_casadi.shaping import SHAPES, Box, Shaping, make_shaping
 from necc_casadi.training import STIFFER, XI_COST, train
 
-__all__ = ["Options", "design", "natural_scales", "paper_options"]
+__all__ = ["Options", "check_options", "design", "natural_scales", "paper_options"]
 
 #: Curvature asked for by default, as a share of the reference stiffness.
 _DEFAULT_A = 0.5
@@ -50,6 +54,8 @@ class Options:
     Dc: Vector | None = None  # m × m
     convex: bool = False  # quadratic parts stiff enough to make V convex everywhere
     learn_casimir: bool = False  # a network C(z), a Casimir only approximately
+    shape: str = "none"  # what is asked of V over the domain: a key of SHAPES
+    gamma: float | None = None  # of the regulariser: ‖z − z*‖² ≤ γ ΔV on average, natural units
     natural_units: bool = True  # scale the networks to the plant's domain and energy
     seed: int = 0
     starts: int = 1
@@ -93,6 +99,7 @@ def design(
         Called with the outcome of each start of the solver.
     """
     options = options or Options()
+    check_options(options)
     casimirs = _finite_at(casimirs, x_star)
     if options.learn_casimir:
         casimirs = state_inputs(loop, casimirs)
@@ -106,7 +113,9 @@ def design(
     guess = np.zeros(terms.nc)
     if verdict.xi_star is not None:
         guess = np.array([float(sp.N(v, 20)) for v in verdict.xi_star])
-    neutral = options.quadratic and form.phi is None and not form.betas and is_neutral(loop, casimirs)
+    neutral = (
+        options.quadratic and form.phi is None and not form.betas and is_neutral(loop, casimirs)
+    )
     if neutral:
         guess = widest_chart_at(terms, x, guess, natural_scales(loop, casimirs, x, guess))
     natural = natural_scales(loop, casimirs, x, guess)
@@ -126,6 +135,20 @@ def design(
             stiffness = (STIFFER * kappa_min,) * len(form.networks)
     elif neutral:
         stiffness = (NEUTRAL_HC, NEUTRAL_K)
+    untrained = Design(
+        loop=loop,
+        casimirs=casimirs,
+        x_star=tuple(x_star[s] for s in loop.plant.x),
+        verdict=verdict,
+        form=form,
+        weights=np.zeros(form.size),
+        xi_star=guess,
+        D=np.eye(terms.m),
+        Dc=np.eye(terms.m),
+        a=a,
+        a_requested=requested,
+        seed=options.seed,
+    )
     solution = train(
         terms,
         form,
@@ -139,31 +162,103 @@ def design(
         stiffness=stiffness,
         xi_cost=HELD_XI if neutral else XI_COST,
         penalty=penalty,
+        shaping=None if options.shape == "none" else _shaping(untrained, natural, options),
         report=report,
         verbose=options.verbose,
     )
     z_star = np.concatenate([x, solution.xi_star])
     undamped = LyapunovFunction(terms, form, solution.weights, np.eye(terms.m), np.eye(terms.m))
     D, Dc = choose_damping(undamped, loop, z_star, options.D, options.Dc)
-    made = Design(
-        loop=loop,
-        casimirs=casimirs,
-        x_star=tuple(x_star[s] for s in loop.plant.x),
-        verdict=verdict,
-        form=form,
+    made = replace(
+        untrained,
         weights=solution.weights,
         xi_star=solution.xi_star,
         D=D,
         Dc=Dc,
-        a=a,
-        a_requested=requested,
-        seed=options.seed,
         starts=solution.starts,
         learned=casimir_residual(terms, form, solution.weights, natural, z_star, options.seed)
         if options.learn_casimir
         else None,
     )
     return Design.from_text(made.text)
+
+
+def check_options(options: Options) -> None:
+    """Refuse options that do not go together.
+
+    Raises
+    ------
+    OptionError
+        For an unknown shape, a γ that is not positive, or a form that cannot be shaped.
+    """
+    if options.shape not in SHAPES:
+        raise OptionError(
+            "usage", f"--shape {options.shape} is not known", f"Choose from {', '.join(SHAPES)}."
+        )
+    if options.gamma is not None and options.shape != "regulariser":
+        raise OptionError(
+            "usage",
+            f"--gamma {options.gamma:g} belongs to the regulariser, but the shape is "
+            f"{options.shape}",
+            "Add --shape regulariser, or drop --gamma.",
+        )
+    if options.gamma is not None and not 0 < options.gamma < np.inf:
+        raise OptionError(
+            "usage", f"--gamma {options.gamma} is not a positive number", "Try --gamma 1."
+        )
+    if options.shape == "none":
+        return
+    for clash, name, remedy in (
+        (options.phi != "sum", "--phi neural", "Drop it: Φ = H + Hc + C can be shaped."),
+        (options.learn_casimir, "--learn-casimir", "Drop one: nothing is certified from it."),
+        (options.convex, "--global", "Drop one: V convex everywhere, or wide in the domain."),
+    ):
+        if clash:
+            raise OptionError(
+                "usage", f"--shape {options.shape} and {name} exclude each other", remedy
+            )
+
+
+def _shaping(untrained: Design, natural: Scales, options: Options) -> Shaping:
+    """Samples of the domain around z*, momenta at rest, and what to ask of V there."""
+    if untrained.form.betas:
+        raise OptionError(
+            "usage",
+            f"--shape {options.shape} needs C = K(c₁, …, c_r), but the form is K(Σ βᵢ(cᵢ))",
+            "Add --casimir-form joint.",
+        )
+    domain, resting = domain_of(untrained), quadratic_states(untrained)
+    ceiling, _ = momentum_ceiling(untrained, resting, domain, 0.0)
+    used = set().union(*(c.free_symbols for c in untrained.casimirs.functions))
+    box = Box(
+        lo=domain.lo - untrained.z_star,
+        hi=domain.hi - untrained.z_star,
+        active=tuple(i for i in range(untrained.loop.n) if i not in resting),
+        shaped=tuple(
+            i for i, s in enumerate(untrained.loop.z) if s in used or i >= untrained.loop.plant.n
+        ),
+        ceiling=ceiling if ceiling > 0 else np.inf,
+        excess=lambda offsets: _excess(untrained, used, offsets),
+    )
+    gamma = 1.0 if options.gamma is None else options.gamma
+    return make_shaping(
+        options.shape, box, natural.state, natural.energy, untrained.a, gamma, options.seed
+    )
+
+
+def _excess(untrained: Design, used: Set[sp.Symbol], offsets: Vector) -> Vector:
+    """H above its value with the states that no Casimir contains at the target, (S,).
+
+    With Φ = H + Hc + C, V has this energy beyond what the networks give it; not finite where the
+    model is not.
+    """
+    loop, terms = untrained.loop, untrained.lyapunov.terms
+    shaped = [i for i, s in enumerate(loop.plant.x) if s in used]
+    x = offsets[:, : terms.n].T + untrained.z_star[: terms.n, None]
+    still = np.repeat(untrained.z_star[: terms.n, None], x.shape[1], axis=1)
+    still[shaped] = x[shaped]
+    H = terms.H.map(x.shape[1])
+    return np.asarray(H(x) - H(still), float).ravel()
 
 
 def _finite_at(casimirs: Casimirs, x_star: Mapping[sp.Symbol, sp.Expr]) -> Casimirs:

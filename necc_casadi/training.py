@@ -20,23 +20,29 @@ that the Gauss–Newton Hessian is accurate.
 
 *Soft form*, for targets or curvatures out of reach: min s + t subject to ∇V(z*) = s w, wᵀw ≤ 1,
 ∇²V(z*) + (t − a)I = LLᵀ, s, t ≥ 0. Its minimum is the minimum of ε exactly.
+
+*Shaped form* (:mod:`necc_casadi.shaping`). The hard form with a heavy objective over samples of the
+domain, in rows u = A m + b that are affine in the weights m that move; the hidden layers are fixed
+at their start and ξ* is held to its own, around which the samples lie. The Hessian is exact.
 """
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import casadi as ca
 import numpy as np
+import numpy.typing as npt
 
 from necc_casadi.interrupts import interruptible
 from necc_casadi.lifting import Lifting, Scales
 from necc_casadi.lyapunov import Form, Terms
 from necc_casadi.networks import KAPPA_MIN, Vector
 from necc_casadi.outcome import Start
+from necc_casadi.shaping import Shaping, moving_weights, sharper
 
 __all__ = ["Solution", "train"]
 
@@ -44,6 +50,8 @@ __all__ = ["Solution", "train"]
 EXACT_HESSIAN_WEIGHTS = 500
 #: Weak pull of ξ* to its initial value: V may be invariant under translations of ξ.
 XI_COST = 1e-2
+#: Pull of ξ* where V is shaped over samples around its start: it moves only where it must.
+SHAPED_XI_COST = 1e4
 #: Quadratic parts start this much above their lower bound.
 STIFFER = 1.1
 #: A fixed entry of ∇V(z*) below this, in natural units, is rounding.
@@ -71,6 +79,10 @@ _LIMITED_MEMORY = {
     "ipopt.hessian_approximation": "limited-memory",
     "ipopt.limited_memory_initialization": "constant",
 }
+
+
+#: A shape need not be optimal to many digits; the constraints are exact all the same.
+_SHAPED = {"ipopt.tol": 1e-4, "ipopt.acceptable_tol": 1e-3, "ipopt.max_iter": 200}
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,12 +119,14 @@ def train(
     stiffness: tuple[float, ...] | None = None,
     xi_cost: float = XI_COST,
     penalty: Callable[[ca.MX, ca.MX], ca.MX] | None = None,
+    shaping: Shaping | None = None,
     report: Callable[[Start], None] | None = None,
     verbose: bool = False,
 ) -> Solution:
     """Minimise eq. Loss over the weights and ξ*.
 
-    Each start runs the hard form; if none solves it, the soft form runs from each start.
+    Each start runs the shaped form where one is asked for, then, as long as none is solved, the
+    hard form and the soft form.
 
     Parameters
     ----------
@@ -139,6 +153,9 @@ def train(
         How strongly ξ* is pulled to where it starts.
     penalty
         (weights, ξ*) ↦ a further term of the objective, over as many sample points as it likes.
+    shaping
+        What is asked of V over samples of the domain, in the hard form; V must be affine in its
+        output layers (Φ = H + Hc + C, joint form).
     report
         Called with the outcome of each start.
     verbose
@@ -147,12 +164,13 @@ def train(
     guess = np.zeros(terms.nc) if xi_guess is None else np.asarray(xi_guess, float)
     lifting = Lifting(terms, form, np.asarray(x_star, float), scales, guess)
     results: list[tuple[Start, Vector, Vector]] = []
-    for make in (_hard, _soft):
+    forms = [(_hard, None), (_soft, None)]
+    for make, shaped in forms if shaping is None else [(_hard, shaping), *forms]:
         program = make(lifting, a, stiffness)
         if program is None:
             continue
         bounds = (kappa_min, stiffness or (STIFFER * kappa_min,) * len(form.networks))
-        solver = _Solver(lifting, program, a, bounds, xi_cost, penalty, verbose)
+        solver = _Solver(lifting, program, a, bounds, xi_cost, penalty, shaped, verbose)
         for index in range(starts):
             results.append(solver.run(seed + index, away=index > 0))
             if report is not None:
@@ -166,7 +184,7 @@ def train(
 def _rank(start: Start) -> tuple[bool, float]:
     """Solved starts first, by the shape of V; the others by their loss."""
     solved = start.loss <= SOLVED
-    return (not solved, start.objective if solved and start.mode == "hard" else start.loss)
+    return (not solved, start.objective if solved and start.mode != "soft" else start.loss)
 
 
 # --- the two forms, in the lifted variables ------------------------------------------------------
@@ -310,11 +328,14 @@ class _Solver:
         kappa: tuple[float, tuple[float, ...]],  # least; where each quadratic part starts
         xi_cost: float,
         penalty: Callable[[ca.MX, ca.MX], ca.MX] | None,
+        shaping: Shaping | None,
         verbose: bool,
     ) -> None:
+        program = _with_level(program) if shaping is not None and shaping.has_level else program
         self.lifting, self.program, self.a = lifting, program, a
         self.kappa_min, self.stiffness = kappa
-        self.xi_cost = xi_cost
+        self.shaping = shaping
+        self.xi_cost = xi_cost if shaping is None else SHAPED_XI_COST
         small = ca.vertcat(lifting.small, program.extra)
         core = ca.Function(
             "core", [small], [program.objective, program.equalities, program.inequalities]
@@ -329,7 +350,14 @@ class _Solver:
             f = f + self._proximity(s, w, start)
         if penalty is not None:
             f = f + penalty(weights, s[:nc])
+        rows = _Rows(shaping, lifting, w, s[-1]) if shaping is not None else None
+        p = start if rows is None else ca.vertcat(start, rows.parameters)
         g = ca.vertcat(lifting.residuals(weights, s[:n_lifted]), equal, unequal)
+        slopes = {}
+        if rows is not None:
+            slopes = rows.first_derivative(s, w, p, g)
+            f, unequal = f + rows.objective, ca.vertcat(unequal, rows.margins)
+            g = ca.vertcat(g, rows.margins)
         self.g_upper = np.zeros(g.numel())
         self.g_upper[g.numel() - unequal.numel() :] = np.inf
         self.lower = np.concatenate(
@@ -341,10 +369,12 @@ class _Solver:
         )
         many = lifting.form.size > EXACT_HESSIAN_WEIGHTS
         first_order = program.mode == "soft" or (penalty is not None and many)
-        options = _IPOPT | (_LIMITED_MEMORY if first_order else self._hessian(s, w, start, f, g))
+        options = _IPOPT | (_LIMITED_MEMORY if first_order else self._hessian(s, w, p, f, g, rows))
+        if rows is not None:
+            options |= _SHAPED | slopes
         if verbose:
             options |= {"ipopt.print_level": 5}
-        problem = {"x": ca.vertcat(s, w), "p": start, "f": f, "g": g}
+        problem = {"x": ca.vertcat(s, w), "p": p, "f": f, "g": g}
         self.solver = ca.nlpsol("train", "ipopt", problem, options)
 
     def _cost(self) -> ca.DM:
@@ -357,15 +387,21 @@ class _Solver:
         pull = ca.sumsqr((s[:nc] - start[:nc]) / ca.DM(self.lifting.scales.state[-nc:]))
         return (ca.dot(self._cost(), (w - start[nc:]) ** 2) + self.xi_cost * pull) / 2
 
-    def _hessian(self, s: ca.MX, w: ca.MX, start: ca.MX, f: ca.MX, g: ca.MX) -> dict[str, object]:
-        """Exact second derivatives for few weights; for many, Gauss–Newton in θ."""
-        if self.lifting.form.size <= EXACT_HESSIAN_WEIGHTS:
+    def _hessian(
+        self, s: ca.MX, w: ca.MX, p: ca.MX, f: ca.MX, g: ca.MX, rows: _Rows | None
+    ) -> dict[str, object]:
+        """Exact second derivatives for few weights; for many, Gauss–Newton in θ.
+
+        With `rows` the hidden layers are fixed and everything is affine in θ but the rows' sum.
+        """
+        if self.lifting.form.size <= EXACT_HESSIAN_WEIGHTS and rows is None:
             return {}
         multiplier_f, multiplier_g = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", g.numel())
         gradient = ca.gradient(multiplier_f * f + ca.dot(multiplier_g, g), s)
         corner, cross = ca.jacobian(gradient, s), ca.jacobian(gradient, w)
-        hessian = ca.blockcat([[corner, cross], [cross.T, multiplier_f * ca.diag(self._cost())]])
-        inputs = [ca.vertcat(s, w), start, multiplier_f, multiplier_g]
+        theta = ca.diag(self._cost()) if rows is None else ca.diag(self._cost()) + rows.curvature
+        hessian = ca.blockcat([[corner, cross], [cross.T, multiplier_f * theta]])
+        inputs = [ca.vertcat(s, w), p, multiplier_f, multiplier_g]
         return {"hess_lag": ca.Function("hess_lag", inputs, [ca.triu(hessian)])}
 
     def run(self, seed: int, away: bool) -> tuple[Start, Vector, Vector]:
@@ -373,17 +409,29 @@ class _Solver:
         lifting, nc = self.lifting, self.lifting.terms.nc
         rng = np.random.default_rng(seed)
         w0 = lifting.form.initial(rng)
+        if self.shaping is not None and self.shaping.has_level:
+            w0 *= sharper(lifting.form)
         spread = 0.5 * lifting.scales.state[-nc:] if away else np.zeros(nc)
         xi0 = lifting.guess + rng.normal(0.0, 1.0, nc) * spread
         w0 = lifting.centred(w0, xi0, self.stiffness)
         small = lifting.small_at(w0, xi0)
+        first, p = self.program.initial(small), np.concatenate([xi0, w0])
+        lower, upper = self.lower, np.full(self.lower.size, np.inf)
+        if self.shaping is not None:
+            A, b, moving = self._sampled(self.shaping, w0, xi0)
+            level = self.shaping.first_level(A @ w0[moving] + b)
+            first = np.concatenate([first[: first.size - level.size], level])
+            p = np.concatenate([p, A.ravel(order="F"), b])
+            fixed = self.n_small + np.setdiff1d(np.arange(w0.size), moving)
+            lower = lower.copy()
+            lower[fixed] = upper[fixed] = w0[fixed - self.n_small]
         began = time.perf_counter()
         with interruptible():
             result = self.solver(
-                x0=np.concatenate([small, self.program.initial(small), w0]),
-                p=np.concatenate([xi0, w0]),
-                lbx=self.lower,
-                ubx=np.inf,
+                x0=np.concatenate([small, first, w0]),
+                p=p,
+                lbx=lower,
+                ubx=upper,
                 lbg=0,
                 ubg=self.g_upper,
             )
@@ -394,7 +442,7 @@ class _Solver:
         stats = self.solver.stats()
         start = Start(
             seed=seed,
-            mode=self.program.mode,
+            mode="shaped" if self.shaping is not None else self.program.mode,
             status=str(stats["return_status"]),
             iterations=int(stats["iter_count"]),
             seconds=seconds,
@@ -402,3 +450,54 @@ class _Solver:
             loss=lifting.loss(weights, xi_star, self.a),
         )
         return start, weights, xi_star
+
+    def _sampled(
+        self, shaping: Shaping, w0: Vector, xi0: Vector
+    ) -> tuple[Vector, Vector, npt.NDArray[np.int_]]:
+        """(A, b, moving) of u = A ŵ[moving] + b, for hidden layers and samples at this start."""
+        lifting = self.lifting
+        moving = moving_weights(lifting.form)
+        weights, z_star = lifting.sigma * w0 + lifting.tau, np.concatenate([lifting.x_star, xi0])
+        A, b = shaping.rows(lifting.terms, lifting.form, weights, z_star)
+        return A * lifting.sigma[moving], b + A @ lifting.tau[moving], moving
+
+
+class _Rows:
+    """The rows u = A ŵ[moving] + b of a shaping in the program; A and b are parameters."""
+
+    def __init__(self, shaping: Shaping, lifting: Lifting, w: ca.MX, c: ca.MX) -> None:
+        moving = moving_weights(lifting.form)
+        A, b = ca.MX.sym("A", shaping.count, moving.size), ca.MX.sym("b", shaping.count)
+        u, level = ca.SX.sym("u", shaping.count), ca.SX.sym("c")
+        objective = shaping.objective(u, level)
+        second = ca.diag(ca.hessian(objective, u)[0])
+        terms = ca.Function("shape", [u, level], [objective, shaping.margins(u, level), second])
+        selection = ca.DM.eye(w.numel())[moving.tolist(), :]
+        self.parameters = ca.vertcat(ca.vec(A), b)
+        self.objective, self.margins, second = terms(A @ (selection @ w) + b, c)
+        weighted = ca.repmat(second, 1, moving.size) * A
+        self.curvature = selection.T @ (A.T @ weighted) @ selection
+        slopes = ca.jacobian(shaping.margins(u, level), ca.vertcat(level, u))
+        at_level, at_rows = ca.DM(slopes)[:, 0], ca.sparsify(ca.DM(slopes)[:, 1:])
+        self.slope = ca.horzcat(at_level, (at_rows @ A) @ selection)
+
+    def first_derivative(self, s: ca.MX, w: ca.MX, p: ca.MX, g: ca.MX) -> dict[str, object]:
+        """The Jacobian of the constraints, of these rows without differentiation.
+
+        `g` holds the other constraints; the level is the last entry of `s`.
+        """
+        x = ca.vertcat(s, w)
+        own = ca.horzcat(ca.MX(self.slope.size1(), s.numel() - 1), self.slope)
+        jacobian = ca.vertcat(ca.jacobian(g, x), own)
+        both = [ca.vertcat(g, self.margins), jacobian]
+        return {"jac_g": ca.Function("jac_g", [x, p], both)}
+
+
+def _with_level(program: _Program) -> _Program:
+    """The program with the level c as its last variable; where it starts is set later."""
+    return replace(
+        program,
+        extra=ca.vertcat(program.extra, ca.SX.sym("c")),
+        lower=np.append(program.lower, -np.inf),
+        initial=lambda small: np.append(program.initial(small), 0.0),
+    )

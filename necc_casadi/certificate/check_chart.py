@@ -64,7 +64,9 @@ class ChartProof:
         """Whether the region and the sizes that are claimed of it are proved again."""
         if not self._separate():
             return False
-        near = tuple((min(c, lo), max(c, hi)) for c, (lo, hi) in zip(self.center, self.z_bar, strict=True))
+        near = tuple(
+            (min(c, lo), max(c, hi)) for c, (lo, hi) in zip(self.center, self.z_bar, strict=True)
+        )
         return (
             min(self.a, self.b, self.above) > 0
             and bool(self.energy.value(near) <= self.level)
@@ -88,9 +90,7 @@ class ChartProof:
     def hc(self) -> Rise:
         """Growth of Hc."""
         shells, xi_bar = self._shells, self.center[self.r :]
-        return Rise(
-            self.energy.hc, xi_bar, self.A_H, shells["radii_h"], shells["nu_h"], self.above
-        )
+        return Rise(self.energy.hc, xi_bar, self.A_H, shells["radii_h"], shells["nu_h"], self.above)
 
     def _separate(self) -> bool:
         """V = K(c) + Hc(ξ) up to a constant, and motions along Casimirs from the momenta."""
@@ -106,7 +106,9 @@ class ChartProof:
         columns = (model.Jcl - model.Rcl).extract(list(energy.active), resting)
         self.along, self.across = columns[: self.r, :], columns[self.r :, :]
         self.q, self.xi = energy.variables[: self.r], energy.variables[self.r :]
-        apart = not (self.along.free_symbols - set(self.q) or self.across.free_symbols - set(self.xi))
+        apart = not (
+            self.along.free_symbols - set(self.q) or self.across.free_symbols - set(self.xi)
+        )
         plain = energy.phi is None and not energy.betas and not rest.free_symbols
         return square and apart and plain
 
@@ -133,9 +135,7 @@ class ChartProof:
     def _no_fold(self) -> bool:
         """Cells of the fibre with |α| ≤ a are regular and inside the box; they are kept."""
         parts = _CELLS.get(self.r, _FEWEST)
-        edges = [
-            [lo + (hi - lo) * k / parts for k in range(parts)] + [hi] for lo, hi in self.box
-        ]
+        edges = [[lo + (hi - lo) * k / parts for k in range(parts)] + [hi] for lo, hi in self.box]
         self.cells: list[tuple[Box, arb, arb]] = []
         for index in itertools.product(range(parts), repeat=self.r):
             cell = tuple((e[k], e[k + 1]) for e, k in zip(edges, index, strict=True))
@@ -236,7 +236,10 @@ class ChartProof:
         """An upper bound of Π ‖∂cᵢ/∂q‖ on the region."""
         sides = [*(ends(v) for v in self.reached or []), *self._xi(self.b)]
         cuts = [
-            [(lo + (hi - lo) * k / _COARSE, lo + (hi - lo) * (k + 1) / _COARSE) for k in range(_COARSE)]
+            [
+                (lo + (hi - lo) * k / _COARSE, lo + (hi - lo) * (k + 1) / _COARSE)
+                for k in range(_COARSE)
+            ]
             for lo, hi in sides
         ]
         most = arb(0)

@@ -14,7 +14,15 @@ from flint import arb, fmpq
 from necc_casadi.certificate.intervals import PI, Interval, concatenate, matmul, point
 from necc_casadi.networks import Vector
 
-__all__ = ["Jet", "Slopes", "chain", "constant", "coordinates", "expression_jets", "expression_values"]
+__all__ = [
+    "Jet",
+    "Slopes",
+    "chain",
+    "constant",
+    "coordinates",
+    "expression_jets",
+    "expression_values",
+]
 
 #: Enclosures of (f, f′, f″) at an interval.
 Slopes = Callable[[Interval], tuple[Interval, Interval, Interval]]

@@ -133,7 +133,9 @@ def _cut(boxes: Interval, used: list[int]) -> Interval:
     return boxes
 
 
-def values_on(expressions: Sequence[sp.Expr], symbols: Sequence[sp.Symbol], box: Interval) -> Interval:
+def values_on(
+    expressions: Sequence[sp.Expr], symbols: Sequence[sp.Symbol], box: Interval
+) -> Interval:
     """Expressions over boxes (B, symbols), (B, expressions)."""
     variables = {s: box[:, k] for k, s in enumerate(symbols)}
     zero = point(np.zeros(box.shape[0]))
