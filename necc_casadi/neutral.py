@@ -16,10 +16,10 @@ from necc_casadi.loop import ClosedLoop
 from necc_casadi.lyapunov import Terms
 from necc_casadi.networks import Vector
 
-__all__ = ["HELD_XI", "NEUTRAL_HC", "NEUTRAL_K", "is_neutral", "widest_chart_at"]
+__all__ = ["HELD_XI", "NEUTRAL_STIFFNESS", "best_coordinates", "is_neutral"]
 
-#: Curvatures of Hc and K, in natural units.
-NEUTRAL_HC, NEUTRAL_K = 1.5, 6.0
+#: Curvatures of Hc and of K, in natural units.
+NEUTRAL_STIFFNESS = (2.0, 6.0)
 #: Pull of ξ* to where it starts.
 HELD_XI = 100.0
 #: How far ξ* is searched, in natural sizes.
@@ -35,7 +35,7 @@ def is_neutral(loop: ClosedLoop, casimirs: Casimirs) -> bool:
     return bool(used) and not used & loop.plant.H.free_symbols
 
 
-def widest_chart_at(terms: Terms, x_star: Vector, guess: Vector, scales: Scales) -> Vector:
+def best_coordinates(terms: Terms, x_star: Vector, guess: Vector, scales: Scales) -> Vector:
     """ξ* near `guess` at which the Casimirs are the best coordinates of x: log det ∂c/∂xᵀ∂c/∂x.
 
     Where that grows up to the end of the search, or not at all, the guess stays.

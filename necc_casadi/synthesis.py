@@ -22,7 +22,7 @@ from necc_casadi.lifting import Scales
 from necc_casadi.loop import ClosedLoop
 from necc_casadi.lyapunov import Form, LyapunovFunction, make_terms
 from necc_casadi.networks import KAPPA_MIN, MonotonePhi, Network, Vector
-from necc_casadi.neutral import HELD_XI, NEUTRAL_HC, NEUTRAL_K, is_neutral, widest_chart_at
+from necc_casadi.neutral import HELD_XI, NEUTRAL_STIFFNESS, best_coordinates, is_neutral
 from necc_casadi.outcome import Start
 from necc_casadi.plant import gradient
 from necc_casadi.shaping import SHAPES, Box, Shaping, make_shaping
@@ -117,7 +117,7 @@ def design(
         options.quadratic and form.phi is None and not form.betas and is_neutral(loop, casimirs)
     )
     if neutral:
-        guess = widest_chart_at(terms, x, guess, natural_scales(loop, casimirs, x, guess))
+        guess = best_coordinates(terms, x, guess, natural_scales(loop, casimirs, x, guess))
     natural = natural_scales(loop, casimirs, x, guess)
     scales = natural if options.natural_units else Scales(np.ones(len(loop.z)), 1.0)
     z_guess = np.concatenate([x, guess])
@@ -128,13 +128,10 @@ def design(
     a = requested
     if verdict.a_max is not None and requested >= verdict.a_max and not options.keep_a:
         a = _BELOW_CEILING * verdict.a_max
-    kappa_min, stiffness = KAPPA_MIN, None
-    if options.convex:
-        kappa_min = least_kappa(terms, scales, verdict, x, guess, a)
-        if kappa_min > KAPPA_MIN:
-            stiffness = (STIFFER * kappa_min,) * len(form.networks)
-    elif neutral:
-        stiffness = (NEUTRAL_HC, NEUTRAL_K)
+    kappa_min = least_kappa(terms, scales, verdict, x, guess, a) if options.convex else KAPPA_MIN
+    stiffness: tuple[float, ...] | None = NEUTRAL_STIFFNESS if neutral else None
+    if kappa_min > KAPPA_MIN:
+        stiffness = (STIFFER * kappa_min,) * len(form.networks)
     untrained = Design(
         loop=loop,
         casimirs=casimirs,
@@ -308,7 +305,7 @@ def natural_scales(loop: ClosedLoop, casimirs: Casimirs, x_star: Vector, xi: Vec
         [[abs(float(v)) for v in at(gradient(c, loop.z), point)] for c in casimirs.functions]
     )
     reach = np.max(slopes[:, :n] * size[:n], axis=1, initial=0.0)
-    for index in np.flatnonzero(np.isnan(size)):
+    for index in map(int, np.flatnonzero(np.isnan(size))):
         seen = float(reach @ slopes[:, index])
         if seen > 0:
             size[index] = seen / float(slopes[:, index] @ slopes[:, index])

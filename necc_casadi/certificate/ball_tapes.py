@@ -24,6 +24,7 @@ class Tape:
         self._results = [self._add(sp.sympify(expr)) for expr in expressions]
 
     def __call__(self, values: Sequence[arb]) -> list[arb]:
+        """The expressions, for one ball per variable."""
         known = list(values)
         for step in self._steps:
             known.append(step(known))

@@ -275,12 +275,11 @@ def _scales(hess: Vector, slopes: Vector) -> tuple[Vector, Vector] | None:
     try:
         inverse = np.linalg.inv(np.vstack([slopes, np.eye(d)[r:]]))
         curvature = inverse.T @ (hess + hess.T) @ inverse / 2
-        return (
-            np.linalg.cholesky(curvature[:r, :r]).T,
-            np.linalg.cholesky(curvature[r:, r:]).T,
-        )
+        blocks = curvature[:r, :r], curvature[r:, r:]
+        A_K, A_H = (np.asarray(np.linalg.cholesky(block).T, float) for block in blocks)
     except np.linalg.LinAlgError:
         return None
+    return A_K, A_H
 
 
 def _numbers(v: Vector) -> tuple[float, ...]:

@@ -9,8 +9,7 @@ from flint import arb, arb_mat
 
 from necc_casadi.certificate.ball_matrices import norm, positive
 from necc_casadi.certificate.ball_networks import Net
-from necc_casadi.certificate.balls import ball, ends, everywhere
-from necc_casadi.certificate.balls import Box
+from necc_casadi.certificate.balls import Box, ball, ends, everywhere
 
 __all__ = ["Rise"]
 

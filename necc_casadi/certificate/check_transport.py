@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from itertools import product
+from itertools import pairwise, product
 
 import numpy as np
 import sympy as sp
@@ -123,7 +123,7 @@ def _rate(rates: Tape, Q: Balls, turned: Balls, used: Sequence[int]) -> Balls:
 def _pieces(x: arb) -> Balls:
     lo, width = x.lower(), x.upper() - x.lower()
     cuts = [lo + width * k / _PIECES for k in range(_PIECES + 1)]
-    return [a.union(b) for a, b in zip(cuts, cuts[1:], strict=False)]
+    return [a.union(b) for a, b in pairwise(cuts)]
 
 
 def _hull(a: Balls, b: Balls) -> Balls:

@@ -82,7 +82,8 @@ class Fold:
         by_side = ((alpha * unit).sum() - (point(along) * half).sum().hi).lo
         least = np.maximum(np.sqrt(by_box) * (1 - _ROUND), by_side)
         most = np.sqrt(point(alpha.magnitude + spread).square().sum().hi) * (1 + _ROUND)
-        near = np.linalg.inv(np.where(finite[:, None, None], G.mid, np.eye(r)) + 1e-14 * np.eye(r))
+        guess = np.where(finite[:, None, None], G.mid, np.eye(r)) + 1e-14 * np.eye(r)
+        near = np.asarray(np.linalg.inv(guess), float)
         excess = (matmul(point(near), G) - np.eye(r)).magnitude
         regular = finite & (point(excess).sum().hi.max(-1) < 1)
         return np.where(finite, least, -np.inf), np.where(finite, most, np.inf), regular

@@ -1,8 +1,8 @@
 """Motion along the Casimirs: where the plant's states go while the controller's move off ξ̄.
 
 By the Casimir condition c is constant along dq = A(q)B(ξ)⁻¹dξ, with A and B the rows for q and ξ of
-the columns of Jcl − Rcl that belong to the momenta. Ways ξ̄ + sA_H⁻¹v start at every direction v of a
-cube; cone by cone and step by step in s, boxes are found that q cannot leave (Picard).
+the columns of Jcl − Rcl that belong to the momenta. Ways ξ̄ + sA_H⁻¹v start in every direction v of
+a cube; cone by cone and step by step in s, boxes are found that q cannot leave (Picard).
 """
 
 from __future__ import annotations
@@ -85,7 +85,7 @@ class Transport:
         B = values_on(list(self.across), self.xi, xi).reshape(-1, nc, nc)
         if not np.isfinite(B.lo + B.hi).all():
             return None
-        near = np.linalg.inv(B.mid)
+        near = np.asarray(np.linalg.inv(B.mid), float)
         E = matmul(point(near), B) - np.eye(nc)
         excess = point(E.magnitude).sum().hi.max(-1)
         if not (excess < 1).all():
@@ -144,7 +144,7 @@ def values_on(
 
 def inverse(A: Vector) -> Interval:
     """A⁻¹ for a well-conditioned matrix: with T near it and E = I − TA, (I − E)⁻¹T."""
-    T = np.linalg.inv(A)
+    T = np.asarray(np.linalg.inv(A), float)
     excess = float(point((matmul(T, point(A)) - np.eye(len(A))).magnitude).sum().hi.max())
     slack = 2 * excess * np.abs(T).max(0)
     return Interval(T - slack, T + slack)
