@@ -204,7 +204,7 @@ def _region_rows(found: Findings, certificate: Certificate) -> list[tuple[str, s
     proved = claim is not None and claim.holds
     if certificate.is_global:
         head = "the whole space is proved: every solution converges to z̄"
-        if claim is None or not proved:
+        if claim is None or not proved or not claim.data["domain_share"]:
             return [("region", head)]
         within = (
             f"Ω = {{V ≤ {certificate.level:.6g}}}, ≥ {percent(claim.data['domain_share'])} of it"

@@ -87,6 +87,8 @@ def test_a_global_proof_is_the_region(found):
     claims = tuple(claim for claim in whole.claims if claim.name != "region")
     bare = replace(found, certificate=replace(whole, claims=claims, level=None))
     assert block(bare) == [head]
+    empty = with_claim(replace(found, certificate=whole), data={"domain_share": 0.0})
+    assert block(empty) == [head]
 
 
 def test_convergence_is_not_measured_where_nothing_is_to_converge(found):
