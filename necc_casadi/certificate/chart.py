@@ -35,7 +35,7 @@ from necc_casadi.networks import Vector
 __all__ = ["Chart", "ChartRegion", "widest_chart"]
 
 #: Shells of |η| on the way from the fibre.
-_STEPS = 12
+_STEPS = 16
 #: The box around the fibre is this much wider than its ellipsoid in the linearisation.
 _WIDER = 1.25
 #: Share of the domain's sides that q keeps away from its border, for other arithmetic to confirm.
@@ -180,8 +180,8 @@ class Chart:
         starts = [
             fibre.within(min(a, self.k.radius(allowed - self.hc.rise(rho)))) for rho in radii[:-1]
         ]
-        Q, lo, hi = self.transport.hull(radii, starts), *self._room()
-        if Q is None or (Q.lo < lo).any() or (Q.hi > hi).any():
+        Q = self.transport.hull(radii, starts, *self._room())
+        if Q is None:
             return None
         region = ChartRegion(
             level, self.potential.active, _numbers(self.center), _numbers(self.fold.middle),
@@ -220,7 +220,9 @@ class Chart:
             "slice_share": fibre.volume(rho) / float(np.prod(sides[: self.r])),
         }
         names = [self.potential.design.loop.states[i] for i in region.active]
-        sizes |= {f"reach_{s}": v for s, v in zip(names, self._reach(region), strict=True)}
+        # every ξ with |η| ≤ rho is reached from q̄ along the Casimirs
+        far = [*self._reach(region), *half_axes(self.transport.scale.T, rho)]
+        sizes |= {f"reach_{s}": v for s, v in zip(names, far, strict=True)}
         return {key: _SIZES * float(value) for key, value in sizes.items()}
 
     def _inner(self, height: float, above: float) -> float:
@@ -239,11 +241,11 @@ class Chart:
         return float(np.sqrt(squares.prod(1).max())) * (1 + _EASE)
 
     def _reach(self, region: ChartRegion) -> Vector:
-        """How far points of Ω are from ȳ in each state, both ways: V ≤ c on straight ways there."""
+        """How far points of Ω are from q̄ in each qᵢ, both ways: V ≤ c on straight ways there."""
         at = point(self.center[None])
         directions = np.linalg.inv(self.potential.jet(at).hess.mid[0])
-        reach = np.zeros(len(directions))
-        for i, way in enumerate(directions):
+        reach = np.zeros(self.r)
+        for i, way in enumerate(directions[: self.r]):
             longest = [self._longest(region, sign * way / way[i]) for sign in (-1.0, 1.0)]
             reach[i] = min(longest)
         return reach

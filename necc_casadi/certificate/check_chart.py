@@ -18,12 +18,12 @@ from necc_casadi.certificate.balls import Box, ball, ends
 from necc_casadi.certificate.check_evidence import Evidence
 from necc_casadi.certificate.check_growth import Rise
 from necc_casadi.certificate.check_sizes import ball_volume, sides_of, sizes_hold
-from necc_casadi.certificate.check_transport import carried
+from necc_casadi.certificate.check_transport import Motion
 
 __all__ = ["ChartProof"]
 
 #: Cells of the fibre per axis, by dimension, and shells of |η| on the way from it.
-_CELLS, _FEWEST, _STEPS = {1: 512, 2: 64, 3: 16}, 5, 12
+_CELLS, _FEWEST, _STEPS = {1: 512, 2: 64, 3: 16}, 5, 16
 #: Parts per axis on which ∂c/∂q is bounded for the volume, and of ways along which V is.
 _COARSE, _PIECES = 3, 32
 
@@ -185,19 +185,24 @@ class ChartProof:
         """On the way to |η| ≤ b, q stays in the domain."""
         radii = [arb(self.b) * k / _STEPS for k in range(_STEPS + 1)]
 
-        def start(k: int) -> list[arb]:
-            return self._fibre_within(self._radius(self.height - self.hc.at(radii[k])))
-
-        self.reached = carried(
-            self.along, self.across, self.q, self.xi, self.center[self.r :], self.A_H, radii, start
-        )
-        if self.reached is None:
-            return False
+        starts = [
+            self._fibre_within(self._radius(self.height - self.hc.at(rho))) for rho in radii[:-1]
+        ]
         bounds = [self.checker.model.bounds()[i] for i in self.energy.active[: self.r]]
-        return all(
-            bool(lo <= v.lower()) and bool(v.upper() <= hi)
-            for v, (lo, hi) in zip(self.reached, bounds, strict=True)
-        )
+
+        def inside(box: list[arb]) -> bool:
+            return all(
+                bool(lo <= v.lower()) and bool(v.upper() <= hi)
+                for v, (lo, hi) in zip(box, bounds, strict=True)
+            )
+
+        cut = [k for k, s in enumerate(self.q) if self.along.has(s)]
+        motion = Motion(
+            Tape(list(self.along), self.q), Tape(list(self.across), self.xi), cut,
+            self.center[self.r :], self.A_H.inv(), radii, starts,
+        )  # fmt: skip
+        self.reached = motion.hull(inside)
+        return self.reached is not None
 
     def _radius(self, height: arb) -> arb:
         """A radius beyond which K rises by more than `height`, at most a; by bisection."""
@@ -215,13 +220,16 @@ class ChartProof:
         scale = abs(self.A_K.det() * self.A_H.det())
         volume = ball_volume(self.d) * rho**self.d / (scale * self._steepest())
         covered = sum((_volume(cell) for cell, _, most in self.cells if most <= rho), arb(0))
-        reach = {f"reach_{model.states[i]}": k for k, i in enumerate(active)}
+        reach = {f"reach_{model.states[i]}": k for k, i in enumerate(active[: self.r])}
         far = {name: float(data[name]) for name in reach if name in data}
+        # every ξ with |η| ≤ rho is reached from q̄ along the Casimirs
+        rows = zip(active[self.r :], self.A_H.inv().tolist(), strict=True)
         return {
             "volume": volume,
             "domain_share": volume / sides_of(model, active),
             "slice_share": covered / sides_of(model, active[: self.r]),
             **{name: arb(s) for name, s in far.items() if self._reaches(reach[name], s)},
+            **{f"reach_{model.states[i]}": rho * norm(row) for i, row in rows},
         }
 
     def _inner(self) -> arb:

@@ -3,60 +3,76 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from itertools import pairwise, product
 
 import numpy as np
-import sympy as sp
 from flint import arb, arb_mat
 
 from necc_casadi.certificate.ball_matrices import middle_of, norm
 from necc_casadi.certificate.ball_tapes import Tape
 from necc_casadi.certificate.balls import ball, times
 
-__all__ = ["carried"]
+__all__ = ["Motion"]
 
-#: Cells per axis on each face of the cube of directions, and pieces of a box per axis.
-_CONES, _PIECES = 8, 3
+#: Cells per axis on each face of the cube of directions, how often they may be halved, and pieces
+#: of a box per axis.
+_CONES, _CUTS, _PIECES = 4, 3, 3
 _PICARD = 6
 
 Balls = list[arb]
 
 
-def carried(
-    along: sp.Matrix,
-    across: sp.Matrix,
-    q: Sequence[sp.Symbol],
-    xi: Sequence[sp.Symbol],
-    xi_bar: Sequence[float],
-    scale: arb_mat,
-    radii: Sequence[arb],
-    start: Callable[[int], Balls],
-) -> Balls | None:
-    """A box that holds q on every way ξ̄ + sA_H⁻¹v of dq = A(q)B(ξ)⁻¹dξ; None where none is found.
+@dataclass(frozen=True)
+class Motion:
+    """Ways ξ̄ + sA_H⁻¹v of dq = A(q)B(ξ)⁻¹dξ, in steps of |η| = |A_H(ξ − ξ̄)|."""
 
-    On the step from radii[k] to radii[k + 1] of |η|, a way began at a q in start(k).
-    """
-    inverse, found = scale.inv(), None
-    rates, turns = Tape(list(along), q), Tape(list(across), xi)
-    used = [k for k, s in enumerate(q) if along.has(s)]
-    starts = [start(k) for k in range(len(radii) - 1)]
-    for v in _cube(len(xi_bar)):
+    along: Tape  # A(q), by rows
+    across: Tape  # B(ξ)
+    cut: Sequence[int]  # entries of q that A depends on
+    xi_bar: Sequence[float]
+    inverse: arb_mat  # A_H⁻¹
+    radii: Sequence[arb]
+    starts: Sequence[Balls]  # boxes of q where a way begins that gets into each step
+
+    def hull(self, inside: Callable[[Balls], bool]) -> Balls | None:
+        """A box with `inside` that holds q on every way; None where none is found."""
+        found = None
+        for v in _cube(len(self.xi_bar)):
+            part = self._on(v, inside, _CUTS)
+            if part is None:
+                return None
+            found = part if found is None else _hull(found, part)
+        return found
+
+    def _on(self, v: Balls, inside: Callable[[Balls], bool], cuts: int) -> Balls | None:
+        """The same for a cone of directions, cut where it has to be."""
+        found = self._reached(v, inside)
+        if found is not None or cuts == 0:
+            return found
+        for part in product(*(_halves(x) if x.rad() > 0 else [x] for x in v)):
+            other = self._on(list(part), inside, cuts - 1)
+            if other is None:
+                return None
+            found = other if found is None else _hull(found, other)
+        return found
+
+    def _reached(self, v: Balls, inside: Callable[[Balls], bool]) -> Balls | None:
         shortest = norm(v).lower()
-        direction = [row[0] for row in (inverse * arb_mat([[x] for x in v])).tolist()]
-        moved = [arb(0)] * len(q)
-        for inner, outer, begin in zip(radii, radii[1:], starts, strict=False):
+        direction = [row[0] for row in (self.inverse * arb_mat([[x] for x in v])).tolist()]
+        found, moved = None, [arb(0)] * len(self.starts[0])
+        for (inner, outer), begin in zip(pairwise(self.radii), self.starts, strict=True):
             s = (inner / shortest).union(outer / shortest)
-            place = [c + d * s for c, d in zip(xi_bar, direction, strict=True)]
-            turned = _turned(turns(place), direction)
+            place = [c + d * s for c, d in zip(self.xi_bar, direction, strict=True)]
+            turned = _turned(self.across(place), direction)
             width = ((outer - inner) / shortest).upper()
             origin = [b + m for b, m in zip(begin, moved, strict=True)]
-            step = None if turned is None else _step(rates, used, origin, turned, width)
-            if step is None:
+            step = None if turned is None else _step(self.along, self.cut, origin, turned, width)
+            if step is None or not inside(step[0]):
                 return None
-            reached, change = step
-            moved = [m + c for m, c in zip(moved, change, strict=True)]
-            found = reached if found is None else _hull(found, reached)
-    return found
+            moved = [m + c for m, c in zip(moved, step[1], strict=True)]
+            found = step[0] if found is None else _hull(found, step[0])
+        return found
 
 
 def _cube(d: int) -> list[Balls]:
@@ -69,6 +85,11 @@ def _cube(d: int) -> list[Balls]:
         for sign in (-1, 1)
         for face in faces
     ]
+
+
+def _halves(x: arb) -> Balls:
+    middle = arb(x.mid())
+    return [x.lower().union(middle), middle.union(x.upper())]
 
 
 def _turned(across: Balls, v: Balls) -> Balls | None:

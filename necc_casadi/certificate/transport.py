@@ -9,19 +9,22 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import reduce
 
 import numpy as np
 import sympy as sp
 
-from necc_casadi.certificate.intervals import Interval, matmul, point, stack
+from necc_casadi.certificate.definite import Truth
+from necc_casadi.certificate.intervals import Interval, concatenate, matmul, point, stack
 from necc_casadi.certificate.jets import expression_values
 from necc_casadi.certificate.structure import subdivide
 from necc_casadi.networks import Vector
 
 __all__ = ["Transport", "inverse", "values_on"]
 
-#: Cells per axis on each face of the cube of directions, and pieces of q per axis.
-_CONES, _PIECES = 8, 3
+#: Cells per axis on each face of the cube of directions, how often they are cut in two per axis,
+#: and pieces of q per axis.
+_CONES, _CUTS, _PIECES = 4, 2, 3
 #: Tries of Picard's condition, and how much wider each is.
 _PICARD, _SLACK = 6, 0.1
 _EASE = 1e-6
@@ -38,63 +41,78 @@ class Transport:
     xi_bar: Vector  # (nc,)
     scale: Vector  # A_H, nc × nc
 
-    def hull(self, radii: Vector, starts: Sequence[Interval]) -> Interval | None:
-        """A box (r,) that q does not leave; None where Picard's condition fails.
+    def hull(
+        self, radii: Vector, starts: Sequence[Interval], lo: Vector, hi: Vector
+    ) -> Interval | None:
+        """A box in [lo, hi] (r,) that q does not leave; None where none is found.
 
         Between radii[k] and radii[k + 1] of |η|, a way started from q in starts[k] ⊂ starts[k − 1].
+        Cones on which q may leave [lo, hi] are cut.
         """
-        v = _cube(len(self.scale))
+        cones, hulls = _cube(len(self.scale)), []
+        for _ in range(_CUTS + 1):
+            found = self._ways(cones, radii, starts)
+            inside: Truth = np.asarray(((found.lo >= lo) & (found.hi <= hi)).all(1))
+            hulls.append(found[inside])
+            if inside.all():
+                every = reduce(concatenate, hulls)
+                return Interval(every.lo.min(0), every.hi.max(0))
+            cones = _quartered(cones[~inside])
+        return None
+
+    def _ways(self, v: Interval, radii: Vector, starts: Sequence[Interval]) -> Interval:
+        """A box that q does not leave, cone by cone (cones, r); not finite where none is found."""
         shortest = np.sqrt(np.square(np.maximum(np.maximum(v.lo, -v.hi), 0.0)).sum(1)) * (1 - _EASE)
         scaled = matmul(inverse(self.scale), v[..., None])[..., 0]  # A_H⁻¹v
         moved = point(np.zeros((v.shape[0], len(self.q))))
-        found = Interval(np.full(len(self.q), np.inf), np.full(len(self.q), -np.inf))
+        found = Interval(moved.lo + np.inf, moved.hi - np.inf)
         for inner, outer, start in zip(radii[:-1], radii[1:], starts, strict=True):
             s = Interval(inner / shortest * (1 - _EASE), outer / shortest * (1 + _EASE))
             xi = scaled * s[:, None] + self.xi_bar
-            step = self._step(start + moved, xi, scaled, (outer - inner) / shortest * (1 + _EASE))
-            if step is None:
-                return None
-            reached, change = step
-            found = Interval(
-                np.minimum(found.lo, reached.lo.min(0)), np.maximum(found.hi, reached.hi.max(0))
-            )
+            width = (outer - inner) / shortest * (1 + _EASE)
+            reached, change = self._step(start + moved, xi, scaled, width)
+            found = Interval(np.minimum(found.lo, reached.lo), np.maximum(found.hi, reached.hi))
             moved = moved + change
         return found
 
     def _step(
         self, start: Interval, xi: Interval, v: Interval, width: Vector
-    ) -> tuple[Interval, Interval] | None:
-        """(q during a step, its change at the end), (cones, r); None where it is not enclosed."""
+    ) -> tuple[Interval, Interval]:
+        """(q during a step, its change at the end), (cones, r); not finite where not enclosed."""
         span = Interval(np.zeros_like(width), width)[:, None]
-        turned = self._turned(xi, v)
-        if turned is None:
-            return None
-        Q = start
+        turned, Q = self._turned(xi, v), start
         for _ in range(_PICARD):
             rate = self._rate(Q, turned)
             reached = start + rate * span
-            if ((reached.lo >= Q.lo) & (reached.hi <= Q.hi)).all():
-                return reached, rate * point(width)[:, None]
+            enclosed: Truth = np.asarray(((reached.lo >= Q.lo) & (reached.hi <= Q.hi)).all(1))
+            if enclosed.all():
+                break
             slack = _SLACK * (reached.hi - reached.lo)
-            Q = Interval(np.minimum(Q.lo, reached.lo - slack), np.maximum(Q.hi, reached.hi + slack))
-        return None
+            wide = Interval(
+                np.minimum(Q.lo, reached.lo - slack), np.maximum(Q.hi, reached.hi + slack)
+            )
+            keep = enclosed[:, None]
+            Q = Interval(np.where(keep, Q.lo, wide.lo), np.where(keep, Q.hi, wide.hi))
+        lost = np.where(enclosed, 0.0, np.inf)[:, None]
+        change = rate * point(width)[:, None]
+        spoilt = Interval(-lost, lost)
+        return reached + spoilt, change + spoilt
 
-    def _turned(self, xi: Interval, v: Interval) -> Interval | None:
-        """B(ξ)⁻¹A_H⁻¹v, (cones, nc); None where B is not proved regular."""
+    def _turned(self, xi: Interval, v: Interval) -> Interval:
+        """B(ξ)⁻¹A_H⁻¹v, (cones, nc); not finite where B is not proved regular."""
         nc = len(self.scale)
         B = values_on(list(self.across), self.xi, xi).reshape(-1, nc, nc)
-        if not np.isfinite(B.lo + B.hi).all():
-            return None
-        near = np.asarray(np.linalg.inv(B.mid), float)
+        finite: Truth = np.asarray(np.isfinite(B.lo + B.hi).all((1, 2)))
+        middle = np.where(finite[:, None, None], B.mid, np.eye(nc))
+        near: Vector = np.asarray(np.linalg.inv(middle), dtype=np.float64)
         E = matmul(point(near), B) - np.eye(nc)
         excess = point(E.magnitude).sum().hi.max(-1)
-        if not (excess < 1).all():
-            return None
         # B⁻¹ = (I + E)⁻¹N = (I − E)N + E²(I + E)⁻¹N for N near it
         x = matmul(point(near), v[..., None])
         slack = excess**2 / (1 - excess) * (1 + _EASE) * x.magnitude.max((1, 2))
+        slack = np.where(finite & (excess < 1), slack, np.inf)[:, None]
         x = (x - matmul(E, x))[..., 0]
-        return x + Interval(-slack[:, None], slack[:, None])
+        return x + Interval(-slack, slack)
 
     def _rate(self, Q: Interval, turned: Interval) -> Interval:
         """A(q)B(ξ)⁻¹A_H⁻¹v over boxes of q, (cones, r); boxes are cut for sharpness."""
@@ -118,6 +136,19 @@ def _cube(d: int) -> Interval:
         for sign in (-1.0, 1.0)
     ]
     return Interval(*np.concatenate(sides, axis=1))
+
+
+def _quartered(cones: Interval) -> Interval:
+    """Cells cut in two along each of their axes but the one on which they have no width."""
+    for axis in range(cones.shape[1]):
+        wide = cones.hi[:, axis] > cones.lo[:, axis]
+        middle = (cones.lo[:, axis] + cones.hi[:, axis]) / 2
+        low, high = cones.hi.copy(), cones.lo.copy()
+        low[:, axis] = np.where(wide, middle, cones.hi[:, axis])
+        high[:, axis] = middle
+        first, second = Interval(cones.lo, low), Interval(high, cones.hi)
+        cones = concatenate(first, second[np.flatnonzero(wide)])
+    return cones
 
 
 def _cut(boxes: Interval, used: list[int]) -> Interval:
