@@ -194,21 +194,27 @@ def _combine(expr: sp.Expr, cache: dict[sp.Expr, Jet | Interval]) -> Jet | Inter
         return reduce(lambda a, b: a + b, arguments)  # type: ignore[operator]
     if expr.is_Mul:
         return reduce(lambda a, b: a * b, arguments)  # type: ignore[operator]
-    return _apply(arguments[0], _SLOPES[type(expr)])
+    if isinstance(arguments[0], Interval):
+        return _value(type(expr), arguments[0])
+    return arguments[0].apply(_SLOPES[type(expr)])
 
 
-def _apply(value: Jet | Interval, slopes: Slopes) -> Jet | Interval:
-    return value.apply(slopes) if isinstance(value, Jet) else slopes(value)[0]
+def _value(function: type[sp.Basic], v: Interval) -> Interval:
+    """A function of an interval, without its slopes: the methods bear sympy's names."""
+    value: Interval = getattr(v, function.__name__)()
+    return value
 
 
 def _power(expr: sp.Expr, cache: dict[sp.Expr, Jet | Interval]) -> Jet | Interval:
     base, exponent = expr.base, expr.exp
     if exponent.is_number:
-        power = constant(exponent)
-        return _apply(_evaluate(base, cache), lambda v: _power_slopes(v, exponent, power))
+        value, power = _evaluate(base, cache), constant(exponent)
+        if isinstance(value, Interval):
+            return _constant_power(value, exponent, power)
+        return value.apply(lambda v: _power_slopes(v, exponent, power))
     logarithm, factor = _evaluate(sp.log(base), cache), _evaluate(exponent, cache)
     product = factor * logarithm if isinstance(factor, Jet) else logarithm * factor
-    return _apply(product, _SLOPES[sp.exp])
+    return _value(sp.exp, product) if isinstance(product, Interval) else product.apply(_exp)
 
 
 def _power_slopes(
