@@ -129,7 +129,7 @@ def limited_by(
     if limit.kind == "curvature":
         of = "the Casimirs" if method == "chart" else "V"
         return f"the bounds of the curvature of {of}"
-    what = _WHAT[limit.kind]
+    what = _WHAT.get(limit.kind, limit.kind)
     near = ", ".join(f"{states[i]} = {v:.3g}" for i, v in zip(active, place, strict=True))
     return f"{what}, near {near}"
 
