@@ -9,12 +9,12 @@ import sympy as sp
 from certificate_designs import EXAMPLES, make_design, two_link_arm
 
 from necc_casadi.casimirs import Casimirs, find_casimirs
-from necc_casadi.certificate import certify
+from necc_casadi.certificate import certify, check_motion
 from necc_casadi.certificate.check_model import Model
 from necc_casadi.certificate.check_motion import invariant_points
 from necc_casadi.certificate.checker import check
 from necc_casadi.certificate.intervals import Interval
-from necc_casadi.certificate.motion import critical_points_are_invariant
+from necc_casadi.certificate.motion import critical_points_are_invariant, loop_is_defined
 from necc_casadi.certificate.structure import quadratic_states
 from necc_casadi.loop import default_controller, interconnect
 from necc_casadi.lyapunov import Form
@@ -95,6 +95,10 @@ def test_kinematics_of_a_body_are_covered_away_from_their_poles(half, covered):
         model.loop.plant, [0] * 6, form, 2 * rows, [0] * 3, casimirs=casimirs, loop=model.loop
     )
     assert both(design, half) == covered
+    lo, hi = np.full(9, -half), np.full(9, half)
+    box = tuple(zip(lo.tolist(), hi.tolist(), strict=True))
+    assert loop_is_defined(design, Interval(lo, hi)) == covered  # 1/cos ξ2 has a pole at π/2
+    assert check_motion.loop_is_defined(Model(json.loads(design.text)), box) == covered
 
 
 def test_constant_structure_is_covered_on_the_whole_space():

@@ -17,6 +17,7 @@ from test_certificate_region import QUADRATIC, oscillator, region_claim
 
 from necc_casadi.artifact import Design
 from necc_casadi.certificate import Certificate, certify
+from necc_casadi.certificate import region as region_module
 from necc_casadi.certificate.enclosures import Potential
 from necc_casadi.certificate.grid import flood, make_grid
 from necc_casadi.certificate.intervals import Interval
@@ -190,6 +191,35 @@ def test_another_well_in_the_box_is_left_out():
     q = (np.argwhere(found.mask)[:, 0] + found.grid.first[0]) * found.grid.step[0]
     assert 0.2 < found.level <= 0.25 + 1e-3
     assert q.min() > -2 * found.grid.step[0]
+
+
+@pytest.fixture
+def small_box(monkeypatch, tmp_path):
+    """An oscillator whose cells end before the domain does."""
+
+    def within(potential, domain, z_bar, ceiling):
+        return widest_grid(potential, Interval(domain.lo / 2, domain.hi / 2), z_bar, ceiling)
+
+    monkeypatch.setattr(region_module, "widest_grid", within)
+    design = oscillator(domain=roomy(p1=9))
+    certificate = certify(design)
+    design.save(tmp_path / "design.json")
+    (tmp_path / "certificate.json").write_text(certificate.to_json(), encoding="utf-8")
+    return certificate, tmp_path
+
+
+def test_cells_that_end_before_the_domain_say_so(small_box, tmp_path_factory):
+    """min V on |q| = 1 is ¾: less than the domain allows, and not by its fault."""
+    certificate, folder = small_box
+    assert 0.97 * 0.75 < certificate.level <= 0.75
+    assert certificate.limited_by.startswith("the width of the cells, near q1")
+    assert all(verdicts(folder).values())
+
+    def blamed(data):
+        claim(data, "region")["data"]["limit"]["kind"] = "border"
+        data["limited_by"] = data["limited_by"].replace("the width of the cells", "the domain")
+
+    assert not altered(folder, tmp_path_factory.mktemp("blamed"), blamed)["region"]
 
 
 def test_slice_and_shadow_against_sampled_states():

@@ -74,6 +74,10 @@ class Energy:
         centred = sum((g * s for g, s in zip(grad, steps, strict=True)), self._first(middle)[0])
         return meet(naive, centred)
 
+    def at_most(self, box: Box, level: float) -> bool:
+        """Whether V ≤ level over a box; far below the level no sharp bound is needed."""
+        return bool(self._first(box)[0] <= level) or bool(self.value(box) <= level)
+
     def gradient(self, box: Box) -> list[arb]:
         """∇V over a box."""
         return self._first(box)[1]

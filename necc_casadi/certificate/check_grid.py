@@ -204,7 +204,7 @@ class GridProof:
         }
 
     def _below(self, box: Box) -> bool:
-        return everywhere(box, lambda b: bool(self.energy.value(b) <= self.level), 3)
+        return everywhere(box, lambda b: self.energy.at_most(b, self.level), 3)
 
     def _cell(self, axes: Sequence[int]) -> arb:
         """Product of a cell's sides along some axes."""

@@ -13,7 +13,7 @@ from necc_casadi.certificate.ball_matrices import middle_of, positive
 from necc_casadi.certificate.balls import Box, ball, ends, evaluate, everywhere
 from necc_casadi.certificate.check_model import Model
 
-__all__ = ["at_rest", "invariant_points", "momentum_inside"]
+__all__ = ["at_rest", "invariant_points", "loop_is_defined", "momentum_inside"]
 
 #: How often a box may be halved before a test on it counts as failed.
 _DEPTH = 14
@@ -91,6 +91,12 @@ def invariant_points(model: Model, resting: Sequence[int], box: Box | None) -> b
         and len(chosen) == Q.cols
         and here.regular(carried[chosen, :])
     )
+
+
+def loop_is_defined(model: Model, box: Box) -> bool:
+    """Whether the loop has no pole in a box of all states, where V itself may well be smooth."""
+    here = _Here(model, box)
+    return here.defined(sp.Matrix(model.Jcl - model.Rcl)) and here.defined(model.ports)
 
 
 def _kernel(Z: sp.Matrix, columns: Sequence[int]) -> sp.Matrix:

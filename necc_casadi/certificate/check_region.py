@@ -15,7 +15,12 @@ from necc_casadi.certificate.check_fields import Fields
 from necc_casadi.certificate.check_grid import GridProof
 from necc_casadi.certificate.check_inputs import InputProof
 from necc_casadi.certificate.check_model import Model
-from necc_casadi.certificate.check_motion import at_rest, invariant_points, momentum_inside
+from necc_casadi.certificate.check_motion import (
+    at_rest,
+    invariant_points,
+    loop_is_defined,
+    momentum_inside,
+)
 from necc_casadi.certificate.statements import Limit
 
 __all__ = ["check_input_limits", "check_region"]
@@ -50,6 +55,7 @@ def check_region(evidence: Evidence, sound: bool) -> Checked:
     )
     proof = _PROOFS[region["method"]](evidence, energy, region, z_bar)
     holds = holds and _only_sizes(evidence, region, data) and proof.holds(data, share)
+    holds = holds and loop_is_defined(model, _surroundings(model, active, proof))
     if not (holds and _stops(evidence, proof, limit, bottom)):
         text = f"a component of {{V ≤ {level:.6g}}} around z̄ in the domain, as it is described"
         return Checked("region", False, text)

@@ -30,7 +30,7 @@ from necc_casadi.certificate.intervals import Interval, matmul, point
 from necc_casadi.certificate.structure import subdivide
 from necc_casadi.networks import Vector
 
-__all__ = ["critical_points_are_invariant"]
+__all__ = ["critical_points_are_invariant", "loop_is_defined"]
 
 #: Cells on which a matrix that depends on the state is bounded, in all.
 _CELLS = 4096
@@ -73,6 +73,12 @@ def critical_points_are_invariant(
     carried = motion[moving, :]
     chosen, _ = place.pivots(carried)
     return spans and len(chosen) == B.cols and place.regular(carried[chosen, :])
+
+
+def loop_is_defined(design: Design, box: Interval) -> bool:
+    """Whether Jcl − Rcl and 𝒢 have no pole in a box of all states (N,): V may be smooth there."""
+    place, loop = _Place(design.loop.z, box), design.loop
+    return place.finite(sp.Matrix(loop.M)) and place.finite(sp.Matrix(loop.ports))
 
 
 class _Place:

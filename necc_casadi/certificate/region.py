@@ -22,6 +22,7 @@ from necc_casadi.certificate.enclosures import Potential
 from necc_casadi.certificate.equilibrium import Equilibrium
 from necc_casadi.certificate.grid import Flood, Grid
 from necc_casadi.certificate.intervals import Interval
+from necc_casadi.certificate.motion import loop_is_defined
 from necc_casadi.certificate.search import GRID_CELLS, widest_grid
 from necc_casadi.certificate.sizes import ellipsoid_sizes, grid_sizes
 from necc_casadi.certificate.statements import Limit, limited_by
@@ -183,7 +184,10 @@ def prove_region(potential: Potential, equilibrium: Equilibrium) -> Proof:
         proof = _in_chart(reduced, inner, z_bar, limit)
     if proof is None:
         proof = _in_ellipsoid(reduced, inner, z_bar, limit)
-    return proof or Proof(None, None, {})
+    if proof is None or proof.region is None:
+        return Proof(None, None, {})
+    defined = loop_is_defined(design, surroundings(design, proof.region))
+    return proof if defined else Proof(None, Limit("undefined"), {})
 
 
 def _on_grid(

@@ -22,6 +22,8 @@ __all__ = ["GRID_CELLS", "Found", "widest_grid"]
 
 #: Cells of the grid, by dimension; more dimensions are the business of the convex core.
 GRID_CELLS = {1: 4096, 2: 128**2, 3: 40**3}
+#: The same where the box fits the component, so that most cells count.
+_CLOSE_CELLS = {1: 2048, 2: 96**2, 3: 40**3}
 #: The same for plain values of V.
 _VALUES = {1: 256, 2: 64**2, 3: 24**3}
 #: Heights that are tried above V(z̄), as shares of the one at which V leaves the domain.
@@ -64,30 +66,33 @@ def widest_grid(
 ) -> Found | None:
     """The largest region that a grid in the domain proves, of level ≤ ceiling, or None."""
     box = domain
-    best = _proved(potential, box, z_bar, ceiling)
+    best = _proved(potential, make_grid(box.lo, box.hi, GRID_CELLS[box.shape[0]]), z_bar, ceiling)
     for height in _HEIGHTS if best is None else ():
         guess = _guessed(potential, domain, z_bar, height)
         if _smaller(guess, box):
             box = guess
-            best = _proved(potential, box, z_bar, ceiling)
+            best = _proved(potential, _close_grid(box), z_bar, ceiling)
         if best is not None:
             break
     while best is not None and _smaller(guess := _around(best.grid, best.mask, domain), box):
         box = guess
-        again = _proved(potential, box, z_bar, ceiling)
+        again = _proved(potential, _close_grid(box), z_bar, ceiling)
         if again is None or (again.volume, again.level) <= (best.volume, best.level):
             break
         best = again
     return best
 
 
-def _proved(potential: Potential, box: Interval, z_bar: Interval, ceiling: float) -> Found | None:
+def _proved(potential: Potential, grid: Grid, z_bar: Interval, ceiling: float) -> Found | None:
     """What one grid proves; None where its cells are too coarse for the surroundings of z̄."""
-    grid = make_grid(box.lo, box.hi, GRID_CELLS[box.shape[0]])
     found = flood(potential, grid, z_bar)
     if found is None or not found.level > potential.jet(z_bar[None, :]).value.hi[0]:
         return None
     return Found(grid, found, min(found.level, ceiling))
+
+
+def _close_grid(box: Interval) -> Grid:
+    return make_grid(box.lo, box.hi, _CLOSE_CELLS[box.shape[0]])
 
 
 def _smaller(guess: Interval, box: Interval) -> bool:

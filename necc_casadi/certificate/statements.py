@@ -49,7 +49,7 @@ UNPROVED = {
 class Limit(NamedTuple):
     """What stopped the search for a larger region."""
 
-    kind: str  # "momentum", "border", "cells", "critical" or "curvature"
+    kind: str  # "momentum", "border", "cells", "critical", "curvature", "undefined"
     at: tuple[int, ...] = ()  # index of the momentum in z, or of the cell in the grid
 
     @property
@@ -124,10 +124,12 @@ def limited_by(
     """The limit of a region; `place` is the middle of its cell, in the active states."""
     if limit.kind == "momentum":
         return f"the domain, in {states[limit.at[0]]}"
+    if limit.kind == "undefined":
+        return "the loop, which may have a pole in it"
     if limit.kind == "curvature":
         of = "the Casimirs" if method == "chart" else "V"
         return f"the bounds of the curvature of {of}"
-    what = _WHAT[limit.kind]
+    what = _WHAT.get(limit.kind, limit.kind)
     near = ", ".join(f"{states[i]} = {v:.3g}" for i, v in zip(active, place, strict=True))
     return f"{what}, near {near}"
 
