@@ -214,7 +214,7 @@ def test_fields_at_odds_with_the_claims_are_rejected(folder, tmp_path):
 
 def other_limits(region):
     """Limits of other kinds, and cells elsewhere."""
-    yield {"kind": "curvature", "at": []}
+    yield {"kind": "method", "at": [0]}
     yield {"kind": "momentum", "at": region["active"][-1:]}
     yield {"kind": "else", "at": [0 for _ in region["shape"]]}
     yield {"kind": "border", "at": [0 for _ in region["shape"]]}

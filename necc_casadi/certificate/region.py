@@ -130,7 +130,7 @@ class Proof:
         if self.limit is None:
             return "no neighbourhood of z̄ is proved free of other critical points"
         region = self.region
-        if isinstance(region, GridRegion) and self.limit.kind != "momentum":
+        if isinstance(region, GridRegion) and self.limit.kind in ("border", "critical"):
             place = self.limit.place(region.first, region.step)
             return limited_by(self.limit, region.method, states, region.active, place)
         return limited_by(self.limit, "" if region is None else region.method, states)
@@ -167,14 +167,23 @@ def _on_grid(
     found = flood(potential, grid, z_bar)
     if found is None or not found.level > potential.jet(z_bar[None, :]).value.hi[0]:
         return None
-    cell = tuple(int(k) for k in np.unravel_index(found.limiting, grid.shape))
-    own = Limit("border" if found.at_boundary else "critical", cell)
-    level, stopped = min(limit, (found.level, own))
+    level, stopped = min(limit, (found.level, Limit("method")))
     mask: Truth = np.asarray(found.levels <= level)
+    cell = tuple(int(k) for k in np.unravel_index(found.limiting, grid.shape))
+    if stopped.kind == "method" and _touches(mask, cell):
+        stopped = Limit("border" if found.at_boundary else "critical", cell)
     region = GridRegion(
         level, potential.active, grid.first, grid.shape, grid.step, found.core, _packed(mask)
     )
     return Proof(region, stopped, _shares(potential.design, region, found, mask, domain))
+
+
+def _touches(mask: Truth, cell: tuple[int, ...]) -> bool:
+    """Whether a cell or one that shares a face with it is marked."""
+    unit = np.eye(len(cell), dtype=int)
+    near = np.array(cell) + np.concatenate([0 * unit[:1], unit, -unit])
+    near = near[((near >= 0) & (near < mask.shape)).all(1)]
+    return bool(mask[tuple(near.T)].any())
 
 
 def _in_chart(
@@ -184,7 +193,7 @@ def _in_chart(
     region = widest_chart(potential, z_bar.mid, domain.lo, domain.hi, limit[0])
     if region is None or not region.level > potential.jet(z_bar[None, :]).value.hi[0]:
         return None
-    stopped = limit[1] if region.level >= limit[0] else Limit("curvature")
+    stopped = limit[1] if region.level >= limit[0] else Limit("method")
     B, d, states = np.array(region.basis), len(region.active), potential.design.loop.states
     ball = math.pi ** (d / 2) / math.gamma(d / 2 + 1) * region.inner**d
     half = 0.999 * region.inner * np.sqrt((B**2).sum(1))
@@ -202,7 +211,7 @@ def _in_ellipsoid(
         core = widest_core(potential, z_bar.mid, domain.lo, domain.hi)
     if core is None:
         return None
-    level, stopped = min(limit, (core.level, Limit("curvature")))
+    level, stopped = min(limit, (core.level, Limit("method")))
     height = level - float(potential.jet(z_bar[None, :]).value.hi[0])
     if not height > 0:
         return None

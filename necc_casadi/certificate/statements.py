@@ -39,10 +39,18 @@ UNPROVED = {
 }
 
 
+#: What limits a region where nothing in its surroundings does.
+_METHODS = {
+    "grid": "the resolution of the grid",
+    "core": "the bounds of the curvature of V",
+    "chart": "the bounds of the curvature of the Casimirs",
+}
+
+
 class Limit(NamedTuple):
     """What stopped the search for a larger region."""
 
-    kind: str  # "momentum", "border", "critical" or "curvature"
+    kind: str  # "momentum", "border" or "critical" of a grid, or "method"
     at: tuple[int, ...] = ()  # index of the momentum in z, or of the cell in the grid
 
     @property
@@ -117,9 +125,8 @@ def limited_by(
     """The limit of a region; `place` is the middle of its cell, in the active states."""
     if limit.kind == "momentum":
         return f"the domain, in {states[limit.at[0]]}"
-    if limit.kind == "curvature":
-        of = "the Casimirs" if method == "chart" else "V"
-        return f"the bounds of the curvature of {of}"
+    if limit.kind == "method":
+        return _METHODS[method]
     what = "the domain" if limit.kind == "border" else "a possible critical point"
     near = ", ".join(f"{states[i]} = {v:.3g}" for i, v in zip(active, place, strict=True))
     return f"{what}, near {near}"
