@@ -250,6 +250,6 @@ def test_definiteness_is_never_claimed_of_an_indefinite_matrix(seed, gap):
 def test_certificate_file_round_trip_and_damage():
     certificate = local(quadratic_pendulum())
     assert Certificate.from_json(certificate.to_json()) == certificate
-    for text in ("", "{}", "[]", certificate.to_json().replace('"format": 1', '"format": 99')):
+    for text in ("", "{}", "[]", certificate.to_json().replace('"format": 2', '"format": 99')):
         with pytest.raises(OutputError):
             Certificate.from_json(text)

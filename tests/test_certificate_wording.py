@@ -197,7 +197,7 @@ def test_a_field_that_nobody_checks_is_rejected(folder, rejected, path):
 
 def at_odds(data):
     """Fields that no longer agree with the claims, or with each other."""
-    yield data | {"format": 2}
+    yield data | {"format": 3}
     yield data | {"is_global": not data["is_global"]}
     yield data | {"stability": "stable" if data["stability"] == "asymptotic" else "asymptotic"}
     yield data | {"domain_share": data["domain_share"] / 2}
@@ -214,7 +214,7 @@ def test_fields_at_odds_with_the_claims_are_rejected(folder, tmp_path):
 
 def other_limits(region):
     """Limits of other kinds, and cells elsewhere."""
-    yield {"kind": "curvature", "at": []}
+    yield {"kind": "method", "at": [0]}
     yield {"kind": "momentum", "at": region["active"][-1:]}
     yield {"kind": "else", "at": [0 for _ in region["shape"]]}
     yield {"kind": "border", "at": [0 for _ in region["shape"]]}

@@ -10,8 +10,6 @@ from necc_casadi.certificate.statements import UNPROVED
 
 __all__ = ["check_contents"]
 
-#: Layout of certificate.json that is understood here.
-_FORMAT = 1
 #: Fields that say something only beside a held claim.
 _BESIDE = {
     "region": ("level", "limited_by", "domain_share", "region"),
@@ -50,7 +48,7 @@ def _known(evidence: Evidence, name: str, checked: set[str]) -> bool:
 def _stray(evidence: Evidence) -> list[str]:
     """Fields that are at odds with the claims."""
     certificate = evidence.certificate
-    left = [] if certificate["format"] == _FORMAT else ["format"]
+    left = []
     if certificate["is_global"] is not evidence.claimed("global"):
         left.append("is_global")
     for name, fields in _BESIDE.items():

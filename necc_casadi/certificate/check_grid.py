@@ -66,30 +66,25 @@ class GridProof:
             and sizes_hold(self._sizes(), data, share)
         )
 
-    def touches(self, cell: tuple[int, ...], level: float, border: bool) -> bool:
-        """Whether the region reaches a cell in which c may well end, a little below `level`.
-
-        At a cell of the border V stays above c on the face of the domain, but not above `level`;
-        elsewhere the cell or one beside it may hold a critical point.
-        """
+    def touches(self, cell: tuple[int, ...], border: bool) -> bool:
+        """Whether the region reaches a cell of the border, or near a possible critical point."""
         beside = [
             (*cell[:axis], cell[axis] + move, *cell[axis + 1 :])
             for axis in range(len(cell))
             for move in (-1, 1)
         ]
-        within = len(cell) == len(self.shape) and all(
-            0 <= k < n for k, n in zip(cell, self.shape, strict=True)
-        )
+        pairs = list(zip(cell, self.shape, strict=True))
+        within = all(0 <= k < n for k, n in pairs)
         if not (within and any(c in self.cells for c in (cell, *beside))):
             return False
         if border:
-            return any(not self.energy.value(face) > level for face in self._outer_faces(cell))
+            return any(k in (0, n - 1) for k, n in pairs)
+        sides = zip(self.box(cell), self.step, strict=True)
+        around = tuple((lo - h, hi + h) for (lo, hi), h in sides)
         in_core = all(a <= k <= b for a, k, b in zip(self.low, cell, self.high, strict=True))
-        around = tuple(
-            (lo - h, hi + h) for (lo, hi), h in zip(self.box(cell), self.step, strict=True)
+        return not in_core and not any(
+            bool(g > 0) or bool(g < 0) for g in self.energy.gradient(around)
         )
-        decided = any(bool(g > 0) or bool(g < 0) for g in self.energy.gradient(around))
-        return not (in_core or decided or self.energy.value(self.box(cell)) > level)
 
     def at_domain(self, cell: Sequence[int]) -> bool:
         """Whether the domain ends at a cell or at the one beside it."""
@@ -99,15 +94,6 @@ class GridProof:
             not bool(bounds[i][0] <= lo - h) or not bool(hi + h <= bounds[i][1])
             for i, (lo, hi), h in pairs
         )
-
-    def _outer_faces(self, cell: tuple[int, ...]) -> list[Box]:
-        """The faces of a cell on the border of the grid."""
-        box, faces = self.box(cell), []
-        for axis, (lo, hi) in enumerate(box):
-            for end, outer in ((lo, 0), (hi, self.shape[axis] - 1)):
-                if cell[axis] == outer:
-                    faces.append((*box[:axis], (end, end), *box[axis + 1 :]))
-        return faces
 
     def _in_domain(self) -> bool:
         bounds = self.checker.model.bounds()

@@ -30,11 +30,10 @@ _PROOFS: dict[str, type[GridProof] | type[CoreProof] | type[ChartProof]] = {
     "core": CoreProof,
     "chart": ChartProof,
 }
-#: What limits a region is confirmed by looking this much higher above V(z̄) than c.
-_HIGHER = 1.1
 _SIZES = ("volume", "domain_share", "slice_share", "plant_share")
-#: The same for momenta, which the maker bounds by their least stiffness, less sharply.
-_MUCH_HIGHER = 6.0
+#: A momentum limits c where it could leave the domain this much higher above V(z̄): the maker may
+#: claim as little as a fifth of its least stiffness.
+_HIGHER = 6.0
 
 
 def check_region(evidence: Evidence, sound: bool) -> Checked:
@@ -60,7 +59,7 @@ def check_region(evidence: Evidence, sound: bool) -> Checked:
         text = f"a component of {{V ≤ {level:.6g}}} around z̄ in the domain, as it is described"
         return Checked("region", False, text)
     place: Sequence[float] = ()
-    if isinstance(proof, GridProof) and limit.kind != "momentum":
+    if isinstance(proof, GridProof) and limit.kind in ("border", "critical"):
         place = limit.place(proof.first, proof.step)
     reason = statements.limited_by(limit, region["method"], model.states, active, place)
     texts = [
@@ -90,26 +89,22 @@ def _consequences(evidence: Evidence, resting: Sequence[int], box: Box) -> list[
 def _stops(
     evidence: Evidence, proof: GridProof | CoreProof | ChartProof, limit: Limit, bottom: arb
 ) -> bool:
-    """Whether nothing speaks against what is said to limit the region, a little above c."""
+    """Whether the region ends where it is said to: at the border, a momentum, a critical point."""
     energy, model = proof.energy, evidence.model
-    if limit.kind == "curvature":
-        return not isinstance(proof, GridProof) and not limit.at
+    if limit.kind == "method":
+        return not limit.at
     if limit.kind == "momentum":
-        level = _raised(proof.level, bottom, _MUCH_HIGHER)
+        base = float(bottom.mid())
+        level = base + _HIGHER * (proof.level - base)
         resting = [i for i in range(model.n) if i not in energy.active]
         return all(i in resting for i in limit.at) and not all(
             momentum_inside(model, i, resting, energy.active, level, bottom) for i in limit.at
         )
     if not isinstance(proof, GridProof) or limit.kind not in ("border", "cells", "critical"):
         return False
-    level, border = _raised(proof.level, bottom, _HIGHER), limit.kind != "critical"
+    border = limit.kind != "critical"
     named = not border or proof.at_domain(limit.at) == (limit.kind == "border")
-    return named and proof.touches(limit.at, level, border)
-
-
-def _raised(level: float, bottom: arb, factor: float) -> float:
-    base = float(bottom.mid())
-    return base + factor * (level - base)
+    return named and proof.touches(limit.at, border)
 
 
 def _surroundings(

@@ -30,6 +30,7 @@ from necc_casadi.certificate.check_local import (
 )
 from necc_casadi.certificate.check_model import Model
 from necc_casadi.certificate.check_region import check_input_limits, check_region
+from necc_casadi.certificate.claim import FORMAT
 from necc_casadi.errors import OutputError
 
 __all__ = ["Checked", "check"]
@@ -49,12 +50,14 @@ def check(folder: Path) -> tuple[Checked, ...]:
     remedy = "Run necc-design again."
     try:
         certificate = read_fields(certificate_text)
+        if certificate["format"] != FORMAT:
+            raise ValueError(f"format {certificate['format']}; this version reads {FORMAT}")
         evidence = Evidence(Model(json.loads(design_text)), certificate)
         same = certificate["design_hash"] == hashlib.sha256(design_text.encode()).hexdigest()
         results = [_as_worded(evidence, result) for result in _everything(evidence)]
         contents = check_contents(evidence, results)
     except (
-        KeyError, TypeError, ValueError, AttributeError, IndexError, ZeroDivisionError,
+        KeyError, TypeError, ValueError, AttributeError, IndexError, ArithmeticError,
         binascii.Error, zlib.error,
     ) as problem:  # fmt: skip
         raise OutputError(

@@ -6,7 +6,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-__all__ = ["Claim"]
+__all__ = ["FORMAT", "Claim"]
+
+#: Version of the layout of certificate.json.
+FORMAT = 2
 
 
 @dataclass(frozen=True)

@@ -33,61 +33,78 @@ _MARGIN = 1e-6
 _SLACK = 0.03
 
 
+Bends = tuple[float | None, float | None]
+
+
 @dataclass(frozen=True)
 class Everywhere:
     """Whether z̄ is proved to attract every state of the whole space."""
 
     missing: str | None  # None: nothing is
     resting: tuple[int, ...] = ()  # momenta that were minimised out
-    bends: tuple[float | None, float | None] = (None, None)
-    """Lower bounds of f″ of Hc and K without their quadratic parts, where cells gave them."""
+    #: of Hc and K without their quadratic parts: below f″, where cells of the line gave it
+    bends: Bends = (None, None)
 
 
 def prove_everywhere(design: Design, resting: Sequence[int]) -> Everywhere:
     """∇²V ⪰ μI in the states that are not momenta, ∂²H/∂s² ⪰ μI in the momenta."""
+    slopes = sp.Matrix(
+        [[sp.diff(c, s) for s in _others(design, resting)] for c in design.casimirs.functions]
+    )
+    missing = _beyond_scope(design, resting, slopes)
+    if missing is not None:
+        return Everywhere(missing)
+    momenta = [design.loop.z[i] for i in resting]
+    stiffness = sp.hessian(design.loop.plant.H, momenta) if momenta else sp.eye(1)
+    bends = _convex(design, resting, slopes) if _positive_everywhere(stiffness, None) else None
+    if bends is None:
+        return Everywhere("∇²V ≻ 0 is not proved for every state")
+    return Everywhere(None, tuple(resting), bends)
+
+
+def _others(design: Design, resting: Sequence[int]) -> list[sp.Symbol]:
+    return [s for i, s in enumerate(design.loop.z) if i not in resting]
+
+
+def _beyond_scope(design: Design, resting: Sequence[int], slopes: sp.Matrix) -> str | None:
+    """What the structure of the loop lacks for a global claim."""
     loop, form = design.loop, design.form
     if form.phi is not None or form.betas:
-        return Everywhere("only Φ = H + Hc + C with C = K(c) is covered")
-    if (loop.M.free_symbols | loop.ports.free_symbols) or not critical_points_are_invariant(
-        design, resting
-    ):
-        return Everywhere("the invariant sets are not proved to be the critical points of V")
-    others = [s for i, s in enumerate(loop.z) if i not in resting]
-    slopes = sp.Matrix([[sp.diff(c, s) for s in others] for c in design.casimirs.functions])
-    if slopes.free_symbols:
-        return Everywhere("the Casimirs are not linear")
-    momenta = [loop.z[i] for i in resting]
-    rest = sp.hessian(loop.plant.H.subs(dict.fromkeys(momenta, 0)), others)
-    stiffness = sp.hessian(loop.plant.H, momenta) if momenta else sp.eye(1)
-    weights = form.split(design.weights)
-    networks = list(zip((form.hc, form.k), weights, strict=False))
-
-    def convex(floors: Sequence[Interval]) -> bool:
-        hc, k = floors
-        return _positive_everywhere(rest, _added(hc, k, slopes, loop.controller.nc))
-
-    unproved = Everywhere("∇²V ≻ 0 is not proved for every state")
-    if not _positive_everywhere(stiffness, None):
-        return unproved
-    if convex([layered_floor(*network) for network in networks]):
-        return Everywhere(None, tuple(resting))
-    if not (any(map(_sharper, networks)) and convex([_quadratic(*n) for n in networks])):
-        return unproved
-    bends = [_bend(*network) for network in networks]
-    if convex([_floor(*n, bend) for n, bend in zip(networks, bends, strict=True)]):
-        return Everywhere(None, tuple(resting), (bends[0], bends[1]))
-    return unproved
+        return "only Φ = H + Hc + C with C = K(c) is covered"
+    varying = loop.M.free_symbols | loop.ports.free_symbols
+    if varying or not critical_points_are_invariant(design, resting):
+        return "the invariant sets are not proved to be the critical points of V"
+    return "the Casimirs are not linear" if slopes.free_symbols else None
 
 
-def _sharper(network: tuple[Network, Vector]) -> bool:
+def _convex(design: Design, resting: Sequence[int], slopes: sp.Matrix) -> Bends | None:
+    """Whether ∇²V ≻ 0 with the momenta at rest, and the bends of the networks that it took."""
+    momenta = {design.loop.z[i]: 0 for i in resting}
+    rest = sp.hessian(design.loop.plant.H.subs(momenta), _others(design, resting))
+    (hc, k), nc = (design.form.hc, design.form.k), design.loop.controller.nc
+    of_hc, of_k = design.form.split(design.weights)[:2]
+
+    def positive(below_hc: Interval, below_k: Interval) -> bool:
+        return _positive_everywhere(rest, _added(below_hc, below_k, slopes, nc))
+
+    if positive(layered_floor(hc, of_hc), layered_floor(k, of_k)):
+        return None, None
+    worth_it = _sharper(hc) or _sharper(k)
+    if not (worth_it and positive(_quadratic(hc, of_hc), _quadratic(k, of_k))):
+        return None
+    bends = _bend(hc, of_hc), _bend(k, of_k)
+    floors = _floor(hc, of_hc, bends[0]), _floor(k, of_k, bends[1])
+    return bends if positive(*floors) else None
+
+
+def _sharper(network: Network) -> bool:
     """Whether cells of the line bound a network's curvature better than its layers do."""
-    shape = network[0]
-    scalar = shape.inputs == 1 and shape.activation == "tanh"
-    return scalar and shape.quadratic and len(shape.hidden) > 1
+    scalar = network.inputs == 1 and network.activation == "tanh"
+    return scalar and network.quadratic and len(network.hidden) > 1
 
 
 def _bend(network: Network, weights: Vector) -> float | None:
-    if not _sharper((network, weights)):
+    if not _sharper(network):
         return None
     slack = _SLACK * float(network.quadratic_part(weights)[0][0])
     bend = scalar_floor(network, weights, slack)
@@ -96,7 +113,7 @@ def _bend(network: Network, weights: Vector) -> float | None:
 
 def _quadratic(network: Network, weights: Vector) -> Interval:
     """The curvature of the quadratic part alone, which a tanh network cannot raise everywhere."""
-    if not _sharper((network, weights)):
+    if not _sharper(network):
         return layered_floor(network, weights)
     return point(np.diag(network.quadratic_part(weights)[0]))
 

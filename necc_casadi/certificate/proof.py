@@ -11,7 +11,7 @@ from typing import Any
 import necc_casadi.certificate.statements as statements
 from necc_casadi.artifact import Design
 from necc_casadi.certificate.chart import ChartRegion
-from necc_casadi.certificate.claim import Claim
+from necc_casadi.certificate.claim import FORMAT, Claim
 from necc_casadi.certificate.decrease import prove_attraction, prove_decrease, prove_only_stable
 from necc_casadi.certificate.enclosures import Potential
 from necc_casadi.certificate.equilibrium import Equilibrium, prove_equilibrium
@@ -30,10 +30,7 @@ from necc_casadi.certificate.region import (
 from necc_casadi.certificate.structure import quadratic_states
 from necc_casadi.errors import OutputError
 
-__all__ = ["FORMAT", "Certificate", "certify"]
-
-#: Version of the layout of certificate.json.
-FORMAT = 1
+__all__ = ["Certificate", "certify"]
 
 Report = Callable[[str, float], None]
 

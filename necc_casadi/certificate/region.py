@@ -139,7 +139,7 @@ class Proof:
         if self.limit is None:
             return "no neighbourhood of z̄ is proved free of other critical points"
         region = self.region
-        if isinstance(region, GridRegion) and self.limit.kind != "momentum":
+        if isinstance(region, GridRegion) and self.limit.kind in ("border", "critical"):
             place = self.limit.place(region.first, region.step)
             return limited_by(self.limit, region.method, states, region.active, place)
         return limited_by(self.limit, "" if region is None else region.method, states)
@@ -199,14 +199,23 @@ def _on_grid(
         return None
     cells, grid = found.flood, found.grid
     at = tuple(int(k) for k in np.unravel_index(cells.limiting, grid.shape))
-    own = Limit(_kind(grid, cells, domain), at)
+    stopped = limit[1] if found.level >= limit[0] else Limit("method")
+    if stopped.kind == "method" and _touches(found.mask, at):
+        stopped = Limit(_kind(grid, cells, domain), at)
     region = GridRegion(
         found.level, potential.active, grid.first, grid.shape, grid.step, cells.core,
         _packed(found.mask),
     )  # fmt: skip
     box = Interval(domain.lo, domain.hi)
-    stopped = limit[1] if found.level >= limit[0] else own
     return Proof(region, stopped, grid_sizes(potential, found, box, z_bar))
+
+
+def _touches(mask: Truth, cell: tuple[int, ...]) -> bool:
+    """Whether a cell or one that shares a face with it is marked."""
+    unit = np.eye(len(cell), dtype=int)
+    near = np.array(cell) + np.concatenate([0 * unit[:1], unit, -unit])
+    near = near[((near >= 0) & (near < mask.shape)).all(1)]
+    return bool(mask[tuple(near.T)].any())
 
 
 def _in_chart(
@@ -217,7 +226,7 @@ def _in_chart(
     if found is None or not found[0].level > potential.jet(z_bar[None, :]).value.hi[0]:
         return None
     region, sizes = found
-    stopped = limit[1] if region.level >= (1 - 1e-4) * limit[0] else Limit("curvature")
+    stopped = limit[1] if region.level >= (1 - 1e-4) * limit[0] else Limit("method")
     return Proof(region, stopped, sizes)
 
 
@@ -229,7 +238,7 @@ def _in_ellipsoid(
         core = widest_core(potential, z_bar.mid, domain.lo, domain.hi)
     if core is None:
         return None
-    level, stopped = min(limit, (core.level, Limit("curvature")))
+    level, stopped = min(limit, (core.level, Limit("method")))
     height = level - float(potential.jet(z_bar[None, :]).value.hi[0])
     if not height > 0:
         return None

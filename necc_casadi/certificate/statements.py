@@ -46,10 +46,18 @@ UNPROVED = {
 }
 
 
+#: What limits a region where nothing in its surroundings does.
+_METHODS = {
+    "grid": "the resolution of the grid",
+    "core": "the bounds of the curvature of V",
+    "chart": "what is proved of motions along the Casimirs",
+}
+
+
 class Limit(NamedTuple):
     """What stopped the search for a larger region."""
 
-    kind: str  # "momentum", "border", "cells", "critical", "curvature", "undefined"
+    kind: str  # "momentum"; "border", "cells" or "critical" of a grid; "undefined" or "method"
     at: tuple[int, ...] = ()  # index of the momentum in z, or of the cell in the grid
 
     @property
@@ -126,9 +134,8 @@ def limited_by(
         return f"the domain, in {states[limit.at[0]]}"
     if limit.kind == "undefined":
         return "the loop, which may have a pole in it"
-    if limit.kind == "curvature":
-        of = "the Casimirs" if method == "chart" else "V"
-        return f"the bounds of the curvature of {of}"
+    if limit.kind == "method":
+        return _METHODS[method]
     what = _WHAT.get(limit.kind, limit.kind)
     near = ", ".join(f"{states[i]} = {v:.3g}" for i, v in zip(active, place, strict=True))
     return f"{what}, near {near}"
