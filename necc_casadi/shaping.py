@@ -52,8 +52,9 @@ _CURVATURE_COST = 3.0
 _BELOW_A = 0.4
 #: Growth is sampled from this share of the way to the boundary on.
 _NEAREST = 0.05
-#: Curvature is sampled up to this share of the way.
-_CONVEX = 0.2
+#: Curvature is sampled up to this share of the way: in two states, and in more, where the cells
+#: on which a certificate tells z̄ from its surroundings are larger.
+_CONVEX, _CONVEX_IN_MORE = 0.2, 0.35
 #: V where the model is not defined, in natural units: far above every level.
 _AT_A_POLE = 1e3
 #: Entries of a sample's row: ΔV, ∇Vᵀd, dᵀ∇²V d.
@@ -196,7 +197,7 @@ def make_shaping(
         kind=kind,
         inner=inner,
         rays=around * (_NEAREST + (1 - _NEAREST) * depth),
-        near=around * _CONVEX,
+        near=around * (_CONVEX if len(box.active) <= 2 else _CONVEX_IN_MORE),
         directions=directions * size,
         boundary=np.concatenate(list(_faces(box, box.shaped, _BOUNDARY, seed))),
         size=size,
