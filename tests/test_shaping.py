@@ -176,6 +176,13 @@ def solve_form(task, form, weights):
     return build(task, form, weights, np.zeros(2))
 
 
+def test_large_networks_are_evaluated_alike(default_design, monkeypatch):
+    shaped = make("level")
+    scalars = rows_of(shaped, default_design)
+    monkeypatch.setattr(shaping, "_SCALAR_WEIGHTS", 0)
+    np.testing.assert_allclose(rows_of(shaped, default_design), scalars, rtol=1e-11, atol=1e-11)
+
+
 # --- samples -------------------------------------------------------------------------------------
 
 
