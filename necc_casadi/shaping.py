@@ -52,10 +52,13 @@ _CURVATURE_COST = 3.0
 _BELOW_A = 0.4
 #: Growth is sampled from this share of the way to the boundary on.
 _NEAREST = 0.05
-#: Curvature is sampled up to this share of the way.
-_CONVEX = 0.2
+#: Curvature is sampled up to this share of the way: in two states, and in more, where the cells
+#: on which a certificate tells z̄ from its surroundings are larger.
+_CONVEX, _CONVEX_IN_MORE = 0.2, 0.35
 #: V where the model is not defined, in natural units: far above every level.
 _AT_A_POLE = 1e3
+#: Up to this many weights samples are evaluated in scalar operations, which are faster.
+_SCALAR_WEIGHTS = 10_000
 #: Entries of a sample's row: ΔV, ∇Vᵀd, dᵀ∇²V d.
 _VALUE, _SLOPE, _CURVATURE = range(3)
 #: Weight beside the other terms of the objective, which then only select among equal shapes.
@@ -196,7 +199,7 @@ def make_shaping(
         kind=kind,
         inner=inner,
         rays=around * (_NEAREST + (1 - _NEAREST) * depth),
-        near=around * _CONVEX,
+        near=around * (_CONVEX if len(box.active) <= 2 else _CONVEX_IN_MORE),
         directions=directions * size,
         boundary=np.concatenate(list(_faces(box, box.shaped, _BOUNDARY, seed))),
         size=size,
@@ -289,8 +292,10 @@ def _row(terms: Terms, form: Form, moving: npt.NDArray[np.int_]) -> ca.Function:
     jet = ca.Function("jet", [w, z, d], [V, slope, ca.jtimes(slope, z, d)])
     here, first, second = jet(w, z_star + o, d)
     both = ca.vertcat(here - jet(w, z_star, d)[0], first, second)
-    plain = ca.Function("plain", [w, z_star, o, d], [both]).expand()
-    symbols = [ca.SX.sym(s.name(), s.numel()) for s in (w, z_star, o, d)]
+    plain = ca.Function("plain", [w, z_star, o, d], [both])
+    scalars = form.size <= _SCALAR_WEIGHTS
+    kind, plain = (ca.SX, plain.expand()) if scalars else (ca.MX, plain)
+    symbols = [kind.sym(s.name(), s.numel()) for s in (w, z_star, o, d)]
     u = plain(*symbols)
     slopes = ca.densify(ca.jacobian(u, symbols[0])[:, moving.tolist()])
     return ca.Function("row", symbols, [u, slopes])

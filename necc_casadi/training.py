@@ -82,7 +82,13 @@ _LIMITED_MEMORY = {
 
 
 #: A shape need not be optimal to many digits; the constraints are exact all the same.
-_SHAPED = {"ipopt.tol": 1e-4, "ipopt.acceptable_tol": 1e-3, "ipopt.max_iter": 200}
+_SHAPED = {
+    "ipopt.tol": 1e-4,
+    "ipopt.acceptable_tol": 1e-3,
+    "ipopt.max_iter": 300,
+    # the monotone barrier now and then stops at a narrow V, or wanders until the limit
+    "ipopt.mu_strategy": "adaptive",
+}
 
 
 @dataclass(frozen=True, eq=False)

@@ -82,9 +82,8 @@ class GridProof:
         sides = zip(self.box(cell), self.step, strict=True)
         around = tuple((lo - h, hi + h) for (lo, hi), h in sides)
         in_core = all(a <= k <= b for a, k, b in zip(self.low, cell, self.high, strict=True))
-        return not in_core and not any(
-            bool(g > 0) or bool(g < 0) for g in self.energy.gradient(around)
-        )
+        decided = any(bool(g > 0) or bool(g < 0) for g in self.energy.gradient(around))
+        return not (in_core or decided or self._falls(around))
 
     def at_domain(self, cell: Sequence[int]) -> bool:
         """Whether the domain ends at a cell or at the one beside it."""
