@@ -26,3 +26,4 @@ H = kinetic + potential
 
 units = {q1: "rad", q2: "rad", p1: "kg m²/s", p2: "kg m²/s"}
 target = {q1: sp.pi / 4, q2: -sp.pi / 3, p1: 0, p2: 0}
+domain = {p1: (-4, 4), p2: (-2, 2)}  # joint rates up to about 2 rad/s
