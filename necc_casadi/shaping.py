@@ -1,7 +1,7 @@
 """What is asked of V over the domain, beside the conditions at z*: the shape of a training run.
 
-With ΔV(z) = V(z) − V(z*) and samples zᵢ of the domain, momenta at rest (there V is ΔV plus their
-kinetic energy, whatever the networks do), all in natural units:
+With ΔV(z) = V(z) − V(z*) and samples zᵢ of the domain, all in natural units and with momenta at
+rest, which add their kinetic energy to V whatever the networks do:
 
 *regulariser*: the published one (Remark on the region of attraction) with V's free offset removed
 and ReLU smoothed,
@@ -141,8 +141,9 @@ class Shaping:
         parts = [at(_VALUE, self.inner, self.inner)]
         if not self.has_level:
             u, A = parts[0]
-            mean = np.array([np.mean(squares[0] - self.gamma * u)])
-            slope = -self.gamma * A.mean(0, keepdims=True)
+            defined = u != _AT_A_POLE
+            mean = np.array([np.mean((squares[0] - self.gamma * u)[defined])])
+            slope = -self.gamma * A[defined].mean(0, keepdims=True)
             return slope, mean - slope @ weights[moving]
         parts.append(at(_SLOPE, self.rays, self.rays / squares[1][:, None]))
         parts.append(at(_CURVATURE, self.near, self.directions))
@@ -187,7 +188,7 @@ def make_shaping(
     ceiling = ceiling if ceiling > 0 else np.inf  # nothing keeps them in: no region, whatever V is
     inner = _offsets(box, box.active, quasi_random(_CANDIDATES * _INNER, len(box.active), seed))
     within = inner[box.excess(inner) <= ceiling]
-    inner = (within if len(within) else inner)[:_INNER]
+    inner = (within if kind == "level" and len(within) else inner)[:_INNER]
     cube = quasi_random(_INNER, len(shaped) + 1, seed)
     around, depth = _offsets(box, box.shaped, cube[:, 1:]), cube[:, :1]
     directions = np.zeros_like(around)

@@ -337,9 +337,11 @@ def test_where_the_model_is_not_defined_counts_as_outside(tmp_path):
     path = tmp_path / "plant.py"
     text = "\nH = p**2 / 2 + q - sp.log(1 + q)\ndomain = {q: (-3, 4), p: (-2, 2)}\n"
     path.write_text(BASE + text, encoding="utf-8")
-    made = solve(problem(load_model(path), "q=1/2"), Options(shape="level"))
-    assert made.starts[-1].mode == "shaped"
-    assert loss(made) <= 1e-9
+    task = problem(load_model(path), "q=1/2")
+    for shape in ("level", "regulariser"):
+        made = solve(task, Options(shape=shape))
+        assert made.starts[-1].mode == "shaped"
+        assert loss(made) <= 1e-9
 
 
 def test_too_few_weights_fall_back_to_the_conditions_at_the_target(pendulum):
