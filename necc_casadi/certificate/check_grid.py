@@ -20,6 +20,9 @@ from necc_casadi.certificate.check_sizes import sides_of, sizes_hold
 
 __all__ = ["GridProof"]
 
+#: How often a cell is halved before it counts as one that may hold a critical point.
+_NEAR = 2
+
 
 class GridProof:
     """Cells [kh, (k+1)h]: V > c around the marked ones, no critical point but z̄ in them."""
@@ -70,7 +73,7 @@ class GridProof:
         """Whether the region reaches a cell in which c may well end, a little below `level`.
 
         At a cell of the border V stays above c on the face of the domain, but not above `level`;
-        elsewhere the cell or one beside it may hold a critical point.
+        elsewhere the cell may hold a critical point; beside the core it would be part of it.
         """
         beside = [
             (*cell[:axis], cell[axis] + move, *cell[axis + 1 :])
@@ -84,12 +87,20 @@ class GridProof:
             return False
         if border:
             return any(not self.energy.value(face) > level for face in self._outer_faces(cell))
-        in_core = all(a <= k <= b for a, k, b in zip(self.low, cell, self.high, strict=True))
-        around = tuple(
-            (lo - h, hi + h) for (lo, hi), h in zip(self.box(cell), self.step, strict=True)
+        at_core = all(a <= k + 1 and k - 1 <= b for a, k, b in
+                      zip(self.low, cell, self.high, strict=True))  # fmt: skip
+        return not (
+            at_core
+            or everywhere(self.box(cell), lambda b: self._decided(b) or self._falls(b), _NEAR)
+            or self.energy.value(self.box(cell)) > level
         )
-        decided = any(bool(g > 0) or bool(g < 0) for g in self.energy.gradient(around))
-        return not (in_core or decided or self.energy.value(self.box(cell)) > level)
+
+    def _decided(self, box: Box) -> bool:
+        """Whether a component of ∇V cannot vanish on a box."""
+        gradient = self.energy.gradient(box)
+        return all(g.is_finite() for g in gradient) and any(
+            bool(g > 0) or bool(g < 0) for g in gradient
+        )
 
     def at_domain(self, cell: Sequence[int]) -> bool:
         """Whether the domain ends at a cell or at the one beside it."""
@@ -153,10 +164,8 @@ class GridProof:
             return True
 
         def test(box: Box) -> bool:
-            gradient = self.energy.gradient(box)
-            decided = any(bool(g > 0) or bool(g < 0) for g in gradient)
-            finite = all(g.is_finite() for g in gradient)
-            settled = finite and (decided or self._falls(box))
+            finite = all(g.is_finite() for g in self.energy.gradient(box))
+            settled = self._decided(box) or (finite and self._falls(box))
             return settled or bool(self.energy.value(box) > self.level)
 
         return everywhere(self.box(cell), test, 8)
