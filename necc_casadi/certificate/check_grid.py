@@ -22,6 +22,8 @@ __all__ = ["GridProof"]
 
 #: How often a cell is halved before it counts as one that may hold a critical point.
 _NEAR = 2
+#: So many cells may lie between the marked ones and the one that limits c: a pass.
+_BESIDE = 3
 
 
 class GridProof:
@@ -75,15 +77,13 @@ class GridProof:
         At a cell of the border V stays above c on the face of the domain, but not above `level`;
         elsewhere the cell may hold a critical point; beside the core it would be part of it.
         """
-        beside = [
-            (*cell[:axis], cell[axis] + move, *cell[axis + 1 :])
-            for axis in range(len(cell))
-            for move in (-1, 1)
-        ]
         within = len(cell) == len(self.shape) and all(
             0 <= k < n for k, n in zip(cell, self.shape, strict=True)
         )
-        if not (within and any(c in self.cells for c in (cell, *beside))):
+        reach = range(-_BESIDE, _BESIDE + 1)
+        beside = (tuple(map(sum, zip(cell, move, strict=True)))
+                  for move in itertools.product(reach, repeat=len(cell)))  # fmt: skip
+        if not (within and any(c in self.cells for c in beside)):
             return False
         if border:
             return any(not self.energy.value(face) > level for face in self._outer_faces(cell))
