@@ -377,3 +377,14 @@ def test_a_stiff_design_in_six_states_is_proved_again(tmp_path):
     result = verdicts(tmp_path)
     assert all(result.values())
     assert result["attraction"]
+
+
+@pytest.mark.parametrize(("k", "h"), [(1.1, 1.5), (1.5, 1.5)])
+def test_a_region_that_ends_at_a_pass_is_proved_again(k, h, tmp_path):
+    """V is weakly curved at z̄, and a second critical point ends the region inside the domain."""
+    design = quadratic_pendulum(k, h, target="2*pi/3", xi=0.2)
+    certificate = certify(design)
+    assert "a possible critical point" in certificate.limited_by
+    design.save(tmp_path / "design.json")
+    (tmp_path / "certificate.json").write_text(certificate.to_json(), encoding="utf-8")
+    assert all(verdicts(tmp_path).values())

@@ -20,6 +20,11 @@ from necc_casadi.certificate.check_sizes import sides_of, sizes_hold
 
 __all__ = ["GridProof"]
 
+#: How often a cell is halved before it counts as one that may hold a critical point.
+_NEAR = 2
+#: So many cells may lie between the marked ones and the one that limits c: a pass.
+_BESIDE = 3
+
 
 class GridProof:
     """Cells [kh, (k+1)h]: V > c around the marked ones, no critical point but z̄ in them."""
@@ -67,23 +72,32 @@ class GridProof:
         )
 
     def touches(self, cell: tuple[int, ...], border: bool) -> bool:
-        """Whether the region reaches a cell of the border, or near a possible critical point."""
-        beside = [
-            (*cell[:axis], cell[axis] + move, *cell[axis + 1 :])
-            for axis in range(len(cell))
-            for move in (-1, 1)
-        ]
+        """Whether the region reaches a cell of the border, or one that may hold a critical point.
+
+        Beside the core such a cell would be part of it.
+        """
         pairs = list(zip(cell, self.shape, strict=True))
-        within = all(0 <= k < n for k, n in pairs)
-        if not (within and any(c in self.cells for c in (cell, *beside))):
+        reach = range(-_BESIDE, _BESIDE + 1)
+        beside = (
+            tuple(map(sum, zip(cell, move, strict=True)))
+            for move in itertools.product(reach, repeat=len(cell))
+        )
+        if not (all(0 <= k < n for k, n in pairs) and any(c in self.cells for c in beside)):
             return False
         if border:
             return any(k in (0, n - 1) for k, n in pairs)
-        sides = zip(self.box(cell), self.step, strict=True)
-        around = tuple((lo - h, hi + h) for (lo, hi), h in sides)
-        in_core = all(a <= k <= b for a, k, b in zip(self.low, cell, self.high, strict=True))
-        decided = any(bool(g > 0) or bool(g < 0) for g in self.energy.gradient(around))
-        return not (in_core or decided or self._falls(around))
+        sides = zip(self.low, cell, self.high, strict=True)
+        at_core = all(a <= k + 1 and k - 1 <= b for a, k, b in sides)
+        return not at_core and not everywhere(
+            self.box(cell), lambda b: self._decided(b) or self._falls(b), _NEAR
+        )
+
+    def _decided(self, box: Box) -> bool:
+        """Whether a component of ∇V cannot vanish on a box."""
+        gradient = self.energy.gradient(box)
+        return all(g.is_finite() for g in gradient) and any(
+            bool(g > 0) or bool(g < 0) for g in gradient
+        )
 
     def at_domain(self, cell: Sequence[int]) -> bool:
         """Whether the domain ends at a cell or at the one beside it."""
@@ -138,10 +152,8 @@ class GridProof:
             return True
 
         def test(box: Box) -> bool:
-            gradient = self.energy.gradient(box)
-            decided = any(bool(g > 0) or bool(g < 0) for g in gradient)
-            finite = all(g.is_finite() for g in gradient)
-            settled = finite and (decided or self._falls(box))
+            finite = all(g.is_finite() for g in self.energy.gradient(box))
+            settled = self._decided(box) or (finite and self._falls(box))
             return settled or bool(self.energy.value(box) > self.level)
 
         return everywhere(self.box(cell), test, 8)

@@ -28,6 +28,8 @@ Indices = npt.NDArray[np.intp]
 #: Pieces per axis into which a cell that limits the region is cut.
 _PIECES = {1: 16, 2: 8, 3: 4}  # powers of two: cut exactly
 _ROUNDS = 3
+#: Cells that are added around z̄'s block where V is convex there too.
+_ROOM = 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,9 +101,14 @@ def flood(potential: Potential, grid: Grid, z_bar: Interval) -> Flood | None:
         low = _finite_lower(jet)
         open_cells = ~_excludes_zero(potential, boxes, jet)
         core = _core(grid, open_cells.reshape(grid.shape), start)
-        block = np.flatnonzero(_block(grid, core))
-        if not positive_definite(potential.lower_hessian(grid.boxes(block))).all():
+        for room in (_ROOM, 0):  # cells beside z̄'s are hard to settle in other arithmetic
+            wide = _widened(grid, core, room)
+            block = np.flatnonzero(_block(grid, wide))
+            if positive_definite(potential.lower_hessian(grid.boxes(block))).all():
+                break
+        else:
             return None
+        core = wide
         open_cells[block] = False
         faces = _faces(potential, grid)
         limit = np.minimum(faces, np.where(open_cells, low, np.inf))
@@ -154,6 +161,18 @@ def _core(grid: Grid, undecided: Truth, start: Indices) -> tuple[tuple[int, ...]
         near = grown
     index = np.argwhere(near)
     return tuple(map(int, index.min(0))), tuple(map(int, index.max(0)))
+
+
+def _widened(
+    grid: Grid, core: tuple[tuple[int, ...], tuple[int, ...]], room: int
+) -> tuple[tuple[int, ...], tuple[int, ...]]:
+    """The block with `room` more cells on every side, as far as the grid goes."""
+    low, high = core
+    last = (n - 1 for n in grid.shape)
+    return (
+        tuple(max(0, k - room) for k in low),
+        tuple(min(n, k + room) for k, n in zip(high, last, strict=True)),
+    )
 
 
 def _dilated(mask: Truth) -> Truth:
@@ -209,8 +228,8 @@ def spread(grid: Grid, low: Vector, limit: Vector, start: Indices) -> tuple[floa
         level, i = heapq.heappop(queue)
         if level > levels[i]:
             continue
-        if bound[i] < ceiling:
-            ceiling, at = max(bound[i], -np.inf), i
+        if max(level, bound[i]) < ceiling:  # below its level the cell is not reached at all
+            ceiling, at = max(level, bound[i]), i
         for count, stride in moves:
             k = i // stride % count
             for j in ([i - stride] if k > 0 else []) + ([i + stride] if k < count - 1 else []):
