@@ -19,7 +19,7 @@ from necc_casadi.networks import Vector
 __all__ = ["HELD_XI", "NEUTRAL_STIFFNESS", "best_coordinates", "is_neutral"]
 
 #: Curvatures of Hc and of K, in natural units.
-NEUTRAL_STIFFNESS = (2.0, 6.0)
+NEUTRAL_STIFFNESS = (2.0, 5.0)
 #: Pull of ξ* to where it starts.
 HELD_XI = 100.0
 #: How far ξ* is searched, in natural sizes.
