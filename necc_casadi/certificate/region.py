@@ -31,6 +31,10 @@ __all__ = ["CoreRegion", "Domain", "GridRegion", "Proof", "Region", "domain_of",
 #: Cells of the grid, by dimension; more dimensions are the business of the convex core.
 _CELLS = {1: 4096, 2: 128**2, 3: 40**3}
 
+#: Share of the height of a level on the grid that is given up, so that other arithmetic, which
+#: rounds otherwise and halves faces a few times only, can confirm it.
+_EASED = 1e-6
+
 
 @dataclass(frozen=True, eq=False)
 class Domain:
@@ -165,9 +169,11 @@ def _on_grid(
     """The region on a grid; None where the grid is too coarse for the surroundings of z̄."""
     grid = make_grid(domain.lo, domain.hi, _CELLS[len(potential.active)])
     found = flood(potential, grid, z_bar)
-    if found is None or not found.level > potential.jet(z_bar[None, :]).value.hi[0]:
+    bottom = float(potential.jet(z_bar[None, :]).value.hi[0])
+    if found is None or not found.level > bottom:
         return None
-    level, stopped = min(limit, (found.level, Limit("method")))
+    eased = bottom + (1 - _EASED) * (found.level - bottom)
+    level, stopped = min(limit, (eased, Limit("method")))
     mask: Truth = np.asarray(found.levels <= level)
     cell = tuple(int(k) for k in np.unravel_index(found.limiting, grid.shape))
     if stopped.kind == "method" and _touches(mask, cell):
