@@ -35,6 +35,9 @@ _ROUNDS = 12
 _MARGIN, _GROWTH = 0.05, 0.5
 #: A box that would grow by less than this share is kept.
 _STILL = 0.1
+#: Share of the height of a level that is given up, so that other arithmetic, which rounds otherwise
+#: and halves faces a few times only, can confirm it.
+_EASED = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,9 +89,11 @@ def widest_grid(
 def _proved(potential: Potential, grid: Grid, z_bar: Interval, ceiling: float) -> Found | None:
     """What one grid proves; None where its cells are too coarse for the surroundings of z̄."""
     found = flood(potential, grid, z_bar)
-    if found is None or not found.level > potential.jet(z_bar[None, :]).value.hi[0]:
+    bottom = float(potential.jet(z_bar[None, :]).value.hi[0])
+    if found is None or not found.level > bottom:
         return None
-    return Found(grid, found, min(found.level, ceiling))
+    eased = bottom + (1 - _EASED) * (found.level - bottom)
+    return Found(grid, found, min(eased, ceiling))
 
 
 def _close_grid(box: Interval) -> Grid:
