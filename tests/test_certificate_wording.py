@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from necc_casadi.casimirs import Casimirs
-from necc_casadi.certificate import certify, region, statements
+from necc_casadi.certificate import certify, search, statements
 from necc_casadi.certificate.check_fields import Fields, read_fields
 from necc_casadi.certificate.checker import check
 from necc_casadi.cli import _certify
@@ -59,7 +59,7 @@ def folder(request, tmp_path_factory):
     design = DESIGNS[request.param]()
     design.save(folder / "design.json")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setitem(region._CELLS, 2, 40**2)  # coarse, so that many checks are quick
+        patch.setitem(search.GRID_CELLS, 2, 40**2)  # coarse, so that many checks are quick
         certificate = certify(design)
     assert certificate.certified
     (folder / "certificate.json").write_text(certificate.to_json(), encoding="utf-8")

@@ -236,8 +236,9 @@ def test_derivatives_that_are_written_by_hand(pendulum, kind):
     terms = make_terms(pendulum.loop, pendulum.casimirs)
     x, shaped = np.array([np.pi / 4, 0.0]), make(kind)
     lifting = Lifting(terms, form, x, Scales(np.ones(3), 1.0), np.zeros(1))
-    program = training._hard(lifting, 0.4, 0.05)
-    solver = training._Solver(lifting, program, 0.4, 0.05, None, shaped, False)
+    program = training._hard(lifting, 0.4, None)
+    bounds = (0.05, (0.055, 0.055))
+    solver = training._Solver(lifting, program, 0.4, bounds, 1e-2, None, shaped, False)
     nlp, n = solver.solver, solver.n_small
     rng = np.random.default_rng(1)
     w0 = form.initial(rng)

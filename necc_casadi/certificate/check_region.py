@@ -59,7 +59,7 @@ def check_region(evidence: Evidence, sound: bool) -> Checked:
         text = f"a component of {{V ≤ {level:.6g}}} around z̄ in the domain, as it is described"
         return Checked("region", False, text)
     place: Sequence[float] = ()
-    if isinstance(proof, GridProof) and limit.kind in ("border", "critical"):
+    if isinstance(proof, GridProof) and limit.names_a_cell:
         place = limit.place(proof.first, proof.step)
     reason = statements.limited_by(limit, region["method"], model.states, active, place)
     texts = [
@@ -100,7 +100,7 @@ def _stops(
         return all(i in resting for i in limit.at) and not all(
             momentum_inside(model, i, resting, energy.active, level, bottom) for i in limit.at
         )
-    if not isinstance(proof, GridProof) or limit.kind not in ("border", "cells", "critical"):
+    if not (isinstance(proof, GridProof) and limit.names_a_cell):
         return False
     border = limit.kind != "critical"
     named = not border or proof.at_domain(limit.at) == (limit.kind == "border")

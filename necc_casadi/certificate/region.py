@@ -41,6 +41,10 @@ __all__ = [
 ]
 
 
+#: A cell that stops a flood is this near to the region; the checker looks as far.
+_BESIDE = 3
+
+
 @dataclass(frozen=True, eq=False)
 class Domain:
     """The box of interest."""
@@ -139,7 +143,7 @@ class Proof:
         if self.limit is None:
             return "no neighbourhood of z̄ is proved free of other critical points"
         region = self.region
-        if isinstance(region, GridRegion) and self.limit.kind in ("border", "critical"):
+        if isinstance(region, GridRegion) and self.limit.names_a_cell:
             place = self.limit.place(region.first, region.step)
             return limited_by(self.limit, region.method, states, region.active, place)
         return limited_by(self.limit, "" if region is None else region.method, states)
@@ -211,11 +215,9 @@ def _on_grid(
 
 
 def _touches(mask: Truth, cell: tuple[int, ...]) -> bool:
-    """Whether a cell or one that shares a face with it is marked."""
-    unit = np.eye(len(cell), dtype=int)
-    near = np.array(cell) + np.concatenate([0 * unit[:1], unit, -unit])
-    near = near[((near >= 0) & (near < mask.shape)).all(1)]
-    return bool(mask[tuple(near.T)].any())
+    """Whether a cell is marked or near one that is."""
+    around = tuple(slice(max(0, k - _BESIDE), k + _BESIDE + 1) for k in cell)
+    return bool(mask[around].any())
 
 
 def _in_chart(

@@ -61,6 +61,11 @@ class Limit(NamedTuple):
     at: tuple[int, ...] = ()  # index of the momentum in z, or of the cell in the grid
 
     @property
+    def names_a_cell(self) -> bool:
+        """Whether `at` is a cell."""
+        return self.kind in _WHAT
+
+    @property
     def data(self) -> dict[str, Any]:
         """The entry of certificate.json."""
         return {"kind": self.kind, "at": list(self.at)}
