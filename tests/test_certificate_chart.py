@@ -14,7 +14,7 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import minimize
 
 from necc_casadi.casimirs import find_casimirs
-from necc_casadi.certificate import certify
+from necc_casadi.certificate import certify, statements
 from necc_casadi.certificate.ball_networks import Net
 from necc_casadi.certificate.ball_tapes import Tape
 from necc_casadi.certificate.balls import ball, evaluate, times
@@ -121,6 +121,43 @@ def test_no_field_can_be_loosened(folder, tmp_path, field, change):
     assert not {r.name: r.holds for r in check(tmp_path)}["region"]
 
 
+def on_another_yaw(data):
+    """The box moved to where the Casimirs take the same values a turn of yaw away."""
+    data["region"]["fibre"][2] = [v + 2 * np.pi for v in data["region"]["fibre"][2]]
+
+
+def reversed_box(data):
+    data["region"]["fibre"] = [side[::-1] for side in data["region"]["fibre"]]
+
+
+def higher_beside_another_centre(data):
+    """Growth around c̄, but a height above a point where V is larger: Ω would leave the domain."""
+    data["region"]["center"][2] -= 0.8
+    data["level"] = data["region"]["level"] = data["region"]["level"] + 0.8
+
+
+def reach_from_another_centre(data):
+    data["region"]["center"][0] -= 0.06
+    next(c for c in data["claims"] if c["name"] == "region")["data"]["reach_roll"] *= 1.05
+
+
+@pytest.mark.parametrize(
+    "change",
+    [on_another_yaw, reversed_box, higher_beside_another_centre, reach_from_another_centre],
+)
+def test_what_the_proof_takes_for_granted_is_checked(folder, tmp_path, change):
+    """With the words that the changed numbers ask for."""
+    data = json.loads((folder / "certificate.json").read_text(encoding="utf-8"))
+    claim = next(c for c in data["claims"] if c["name"] == "region")
+    change(data)
+    claim["statement"] = statements.region(
+        data["level"], data["domain_share"], data["limited_by"], statements.CONVERGES
+    )
+    (tmp_path / "certificate.json").write_text(json.dumps(data), encoding="utf-8")
+    (tmp_path / "design.json").write_bytes((folder / "design.json").read_bytes())
+    assert not {r.name: r.holds for r in check(tmp_path)}["region"]
+
+
 def test_states_of_the_region_converge(satellite, certificate):
     """A second route: what is simulated from the region, momenta included, comes to z̄."""
     region, rng = certificate.region, np.random.default_rng(4)
@@ -138,7 +175,7 @@ def test_states_of_the_region_converge(satellite, certificate):
 def test_the_fibre_has_no_fold_where_none_is_found(chart):
     """|α| is within its bounds on every cell, and ∂α/∂q keeps the sign of its determinant."""
     a = 0.4
-    fibre = chart.fold.cover(chart._fibre_box(a), a)
+    fibre = chart.fold.cover(chart._fibre_box(a), chart.center[:3], a)
     rng, terms = np.random.default_rng(1), chart.potential.design.lyapunov.terms
     signs = set()
     for index in rng.choice(len(fibre.least), 40):
@@ -158,7 +195,7 @@ def test_the_fibre_has_no_fold_where_none_is_found(chart):
 def test_motions_along_the_casimirs_stay_in_their_box(chart):
     """Against an adaptive integrator, in random directions; the Casimirs do not change."""
     transport, b, a = chart.transport, 0.4, 0.2
-    fibre = chart.fold.cover(chart._fibre_box(a), a)
+    fibre = chart.fold.cover(chart._fibre_box(a), chart.center[:3], a)
     radii = np.linspace(0, b, 9)
     box = transport.hull(radii, [fibre.within(a)] * 8, *chart._room())
     A, B = (
@@ -268,4 +305,4 @@ def test_tapes_enclose_what_the_expressions_are(point, width):
 
 def test_a_box_of_the_fibre_that_holds_a_fold_is_refused(chart):
     lo, hi = chart.center[:3] - 2.5, chart.center[:3] + 2.5
-    assert chart.fold.cover(Interval(lo, hi), 5.0) is None
+    assert chart.fold.cover(Interval(lo, hi), chart.center[:3], 5.0) is None

@@ -3,12 +3,12 @@
 For plants whose energy is constant with the momenta s at rest, with as many Casimirs as remaining
 plant states q, and as many momenta as controller states. Motions along the Casimirs
 (:mod:`necc_casadi.certificate.transport`) carry the fibre ξ = ξ̄ to every other one and change V by
-Hc alone. V ≤ c implies k(|α|) + k_H(|η|) ≤ c − V(ȳ), α = A_K(c − c̄), η = A_H(ξ − ξ̄), with k and k_H
-the growth of K and Hc. Let |α| ≤ a on the fibre be compact and free of folds, and let q stay in the
-domain on the way from there to |η| ≤ b. Then (q₀, ξ) ↦ (q, ξ) maps the part {V ≤ c} of that product
-one-to-one onto a component Ω of {V ≤ c}: its image is closed, and open in {V ≤ c}. ∇V = 0 there
-means ∇K = ∇Hc = 0, since ∂c/∂q is regular, and every such point is a nondegenerate minimum: on a
-connected sublevel set there is one, z̄.
+Hc alone. V ≤ c implies k(|α|) + k_H(|η|) ≤ c − e₀ − K(c̄) − Hc(ξ̄), with α = A_K(c − c̄),
+η = A_H(ξ − ξ̄) and k, k_H the growth of K and Hc. Let |α| ≤ a on the fibre be compact and free of
+folds, q̄ in it, and let q stay in the domain on the way from there to |η| ≤ b. Then (q₀, ξ) ↦ (q, ξ)
+maps the part {V ≤ c} of that product one-to-one onto components of {V ≤ c}, Ω around z̄ among them:
+its image is closed, and open in {V ≤ c}. ∇V = 0 there means ∇K = ∇Hc = 0, since ∂c/∂q is regular,
+and every such point is a nondegenerate minimum: a connected sublevel set has one, z̄.
 """
 
 from __future__ import annotations
@@ -148,7 +148,7 @@ class Chart:
 
     @cached_property
     def bottom(self) -> Interval:
-        """V(ȳ)."""
+        """e₀ + K(c̄) + Hc(ξ̄), about V(ȳ)."""
         return self.k.bottom + self.hc.bottom + self.energy
 
     def widest(self, ceiling: float) -> tuple[ChartRegion, dict[str, float]] | None:
@@ -173,7 +173,7 @@ class Chart:
         a, b = self.k.radius(allowed), self.hc.radius(allowed)
         if not (level > float(self.bottom.hi) and math.isfinite(a + b)):
             return None
-        fibre = self.fold.cover(self._fibre_box(a), a)
+        fibre = self.fold.cover(self._fibre_box(a), self.center[: self.r], a)
         if fibre is None:
             return None
         radii = np.linspace(0.0, b, _STEPS + 1)

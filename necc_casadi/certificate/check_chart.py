@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Mapping, Sequence
 from functools import cached_property
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -14,7 +16,7 @@ from flint import arb, arb_mat
 from necc_casadi.certificate.ball_energy import Energy
 from necc_casadi.certificate.ball_matrices import middle_of, norm
 from necc_casadi.certificate.ball_tapes import Tape
-from necc_casadi.certificate.balls import Box, ball, ends
+from necc_casadi.certificate.balls import Box, ball, ends, evaluate
 from necc_casadi.certificate.check_evidence import Evidence
 from necc_casadi.certificate.check_growth import Rise
 from necc_casadi.certificate.check_sizes import ball_volume, sides_of, sizes_hold
@@ -99,10 +101,12 @@ class ChartProof:
         rest = sp.sympify(model.H).subs(dict.fromkeys((model.z[i] for i in resting), 0))
         counted = self.d == energy.d == self.r + model.nc and self.r == len(model.casimirs)
         last = list(energy.active[self.r :]) == list(range(model.n, model.n + model.nc))
+        last = last and self.center[self.r :] == model.xi_star
         if not (counted and last and len(resting) == model.nc and len(self.box) == self.r):
             return False
         shapes = [(m.nrows(), m.ncols()) for m in (self.A_K, self.A_H)]
         square = shapes == [(self.r, self.r), (model.nc, model.nc)]
+        proper = square and all(bool(abs(A.det()) > 0) for A in (self.A_K, self.A_H))
         columns = (model.Jcl - model.Rcl).extract(list(energy.active), resting)
         self.along, self.across = columns[: self.r, :], columns[self.r :, :]
         self.q, self.xi = energy.variables[: self.r], energy.variables[self.r :]
@@ -110,12 +114,11 @@ class ChartProof:
             self.along.free_symbols - set(self.q) or self.across.free_symbols - set(self.xi)
         )
         plain = energy.phi is None and not energy.betas and not rest.free_symbols
-        return square and apart and plain
+        return proper and apart and plain
 
     def _bounded(self) -> bool:
         """|α| ≤ a and |η| ≤ b wherever V ≤ c, on the shells, which end in the domain."""
-        at: Box = tuple((v, v) for v in self.center)
-        self.height = arb(self.level) - self.energy.value(at) + self.k.dip() + self.hc.dip()
+        self.height = arb(self.level) - self._bottom() + self.k.dip() + self.hc.dip()
         reached = self.a <= self._shells["radii_k"][-1] and self.b <= self._shells["radii_h"][-1]
         outside = self.k.at(arb(self.a)) > self.height and self.hc.at(arb(self.b)) > self.height
         bounds = self.checker.model.bounds()[self.checker.model.n :]
@@ -125,6 +128,13 @@ class ChartProof:
         )
         return reached and bool(outside) and inside
 
+    def _bottom(self) -> arb:
+        """e₀ + K(c̄) + Hc(ξ̄), above which K and Hc grow."""
+        model = self.checker.model
+        resting = [v for i, v in enumerate(model.z) if i not in self.energy.active]
+        rest = evaluate(sp.sympify(model.H).subs(dict.fromkeys(resting, 0)), {})
+        return arb(rest + self.k.bottom + self.hc.bottom)
+
     def _xi(self, b: float) -> Box:
         half = [arb(b) * norm(row) for row in self.A_H.inv().tolist()]
         pairs = zip(self.center[self.r :], half, strict=True)
@@ -133,10 +143,14 @@ class ChartProof:
     # --- the fibre --------------------------------------------------------------------------------
 
     def _no_fold(self) -> bool:
-        """Cells of the fibre with |α| ≤ a are regular and inside the box; they are kept."""
-        parts = _CELLS.get(self.r, _FEWEST)
+        """Cells of the fibre with |α| ≤ a, one with q̄, are regular and inside; they are kept."""
+        parts, q_bar = _CELLS.get(self.r, _FEWEST), self.center[: self.r]
+        if not all(lo < q < hi for q, (lo, hi) in zip(q_bar, self.box, strict=True)):
+            return False
+        if not self._alpha(tuple((q, q) for q in q_bar))[1] <= self.a:
+            return False
         edges = [[lo + (hi - lo) * k / parts for k in range(parts)] + [hi] for lo, hi in self.box]
-        self.cells: list[tuple[Box, arb, arb]] = []
+        self.cells: dict[tuple[int, ...], tuple[Box, arb, arb]] = {}
         for index in itertools.product(range(parts), repeat=self.r):
             cell = tuple((e[k], e[k + 1]) for e, k in zip(edges, index, strict=True))
             least, most, slopes = self._alpha(cell)
@@ -144,7 +158,7 @@ class ChartProof:
                 continue
             if any(k in (0, parts - 1) for k in index) or not _regular(slopes):
                 return False
-            self.cells.append((cell, least, most))
+            self.cells[index] = (cell, least, most)
         return bool(self.cells)
 
     def _alpha(self, cell: Box) -> tuple[arb, arb, arb_mat]:
@@ -175,7 +189,7 @@ class ChartProof:
 
     def _fibre_within(self, a: arb) -> list[arb]:
         """A box around |α| ≤ a on the fibre."""
-        near = [cell for cell, least, _ in self.cells if not least > a]
+        near = [cell for cell, least, _ in self.cells.values() if not least > a]
         return [
             ball(min(cell[i][0] for cell in near), max(cell[i][1] for cell in near))
             for i in range(self.r)
@@ -219,7 +233,7 @@ class ChartProof:
         rho = self._inner()
         scale = abs(self.A_K.det() * self.A_H.det())
         volume = ball_volume(self.d) * rho**self.d / (scale * self._steepest())
-        covered = sum((_volume(cell) for cell, _, most in self.cells if most <= rho), arb(0))
+        covered = sum((_volume(cell) for cell in self._around(rho)), arb(0))
         reach = {f"reach_{model.states[i]}": k for k, i in enumerate(active[: self.r])}
         far = {name: float(data[name]) for name in reach if name in data}
         # every ξ with |η| ≤ rho is reached from q̄ along the Casimirs
@@ -228,14 +242,39 @@ class ChartProof:
             "volume": volume,
             "domain_share": volume / sides_of(model, active),
             "slice_share": covered / sides_of(model, active[: self.r]),
-            **{name: arb(s) for name, s in far.items() if self._reaches(reach[name], s)},
-            **{f"reach_{model.states[i]}": rho * norm(row) for i, row in rows},
+            **{
+                name: arb(s)
+                for name, s in far.items()
+                if self._reaches(reach[name], (arb(s) + self._offset(reach[name])).upper())
+            },
+            **{
+                f"reach_{model.states[i]}": rho * norm(row) - self._offset(self.r + k)
+                for k, (i, row) in enumerate(rows)
+            },
         }
+
+    def _around(self, rho: arb) -> list[Box]:
+        """Cells with |α| ≤ rho that are joined to one that holds q̄ by cells of this kind."""
+        inside = {index for index, (_, _, most) in self.cells.items() if most <= rho}
+        q_bar = self.center[: self.r]
+        todo = [
+            index
+            for index in inside
+            if all(lo <= q <= hi for q, (lo, hi) in zip(q_bar, self.cells[index][0], strict=True))
+        ]
+        found = set(todo)
+        while todo:
+            index = todo.pop()
+            for move in itertools.product((-1, 0, 1), repeat=self.r):
+                other = tuple(k + m for k, m in zip(index, move, strict=True))
+                if other in inside and other not in found:
+                    found.add(other)
+                    todo.append(other)
+        return [self.cells[index][0] for index in found]
 
     def _inner(self) -> arb:
         """A radius of (α, η) up to which V ≤ c."""
-        at: Box = tuple((v, v) for v in self.center)
-        height = (arb(self.level) - self.energy.value(at)).max(arb(0))
+        height = (arb(self.level) - self._bottom()).max(arb(0))
         slope = norm([self.k.slope, self.hc.slope])
         root = (slope * slope + 2 * self.above * height).sqrt()
         return arb(((root - slope) / self.above).lower().min(arb(self.a)).min(arb(self.b)))
@@ -244,10 +283,7 @@ class ChartProof:
         """An upper bound of Π ‖∂cᵢ/∂q‖ on the region."""
         sides = [*(ends(v) for v in self.reached or []), *self._xi(self.b)]
         cuts = [
-            [
-                (lo + (hi - lo) * k / _COARSE, lo + (hi - lo) * (k + 1) / _COARSE)
-                for k in range(_COARSE)
-            ]
+            list(pairwise([*(lo + (hi - lo) * k / _COARSE for k in range(_COARSE)), hi]))
             for lo, hi in sides
         ]
         most = arb(0)
@@ -258,16 +294,20 @@ class ChartProof:
             most = most.max(product)
         return most
 
+    def _offset(self, k: int) -> arb:
+        """How far z̄ may be from ȳ in a state."""
+        return arb(abs(ball(*self.z_bar[k]) - self.center[k]).upper())
+
     @cached_property
     def _ways(self) -> np.ndarray[Any, Any]:
         """Directions in which Ω reaches far in each state, a guess."""
         at: Box = tuple((v, v) for v in self.center)
         return np.asarray(np.linalg.inv(middle_of(self.energy.hessian(at))))
 
-    def _reaches(self, k: int, s: float) -> bool:
+    def _reaches(self, k: int, s: arb) -> bool:
         """Whether straight ways to points s away in the k-th state, on both sides, stay in Ω."""
-        way = self._ways[k] / self._ways[k, k]
-        return all(self._below(sign * s, way.tolist()) for sign in (-1.0, 1.0))
+        way, far = self._ways[k] / self._ways[k, k], math.nextafter(float(s), math.inf)
+        return all(self._below(sign * far, way.tolist()) for sign in (-1.0, 1.0))
 
     def _below(self, s: float, way: Sequence[float]) -> bool:
         bounds = [self.checker.model.bounds()[i] for i in self.energy.active]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import reduce
 from itertools import pairwise, product
 
 import numpy as np
@@ -65,7 +66,7 @@ class Motion:
             s = (inner / shortest).union(outer / shortest)
             place = [c + d * s for c, d in zip(self.xi_bar, direction, strict=True)]
             turned = _turned(self.across(place), direction)
-            width = ((outer - inner) / shortest).upper()
+            width = (outer - inner) / shortest
             origin = [b + m for b, m in zip(begin, moved, strict=True)]
             step = None if turned is None else _step(self.along, self.cut, origin, turned, width)
             if step is None or not inside(step[0]):
@@ -105,11 +106,11 @@ def _turned(across: Balls, v: Balls) -> Balls | None:
     N = arb_mat(np.linalg.inv(middle).tolist())
     E = N * B - arb_mat(n, n, [int(i == j) for i in range(n) for j in range(n)])
     rows = E.tolist()
-    excess = max((sum((abs(x).upper() for x in row), arb(0)) for row in rows), key=float).upper()
+    excess = reduce(arb.max, (sum(map(abs, row), arb(0)).upper() for row in rows)).upper()
     if not excess < 1:
         return None
     x = N * arb_mat([[t] for t in v])
-    size = max((abs(row[0]).upper() for row in x.tolist()), key=float)
+    size = reduce(arb.max, (abs(row[0]).upper() for row in x.tolist())).upper()
     slack = ball(-1.0, 1.0) * (excess * excess / (1 - excess) * size)
     return [row[0] + slack for row in (x - E * x).tolist()]
 
@@ -118,7 +119,7 @@ def _step(
     rates: Tape, used: Sequence[int], origin: Balls, turned: Balls, width: arb
 ) -> tuple[Balls, Balls] | None:
     """(q during a step, its change at the end) by Picard's condition."""
-    span = arb(0).union(width)
+    span = arb(0).union(width.upper())
     rate, Q = _rate(rates, origin, turned, ()), origin
     for _ in range(_PICARD):
         reached = [o + r * span for o, r in zip(origin, rate, strict=True)]

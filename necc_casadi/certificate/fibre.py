@@ -9,6 +9,7 @@ import numpy as np
 import sympy as sp
 
 from necc_casadi.certificate.definite import Truth
+from necc_casadi.certificate.grid import Indices, dilated
 from necc_casadi.certificate.intervals import Interval, matmul, point
 from necc_casadi.certificate.structure import subdivide
 from necc_casadi.certificate.transport import values_on
@@ -26,6 +27,9 @@ class Fibre:
     """Cells of a box of q that cover |α| ≤ a, a component of which holds q̄."""
 
     box: Interval  # (r,)
+    center: Vector  # q̄ (r,), in the box
+    shape: tuple[int, ...]  # of all cells of the box
+    index: Indices  # (B,) flat, of those that are kept
     cells: Interval  # (B, r)
     least: Vector  # (B,) |α| is at least this
     most: Vector  # (B,) and at most this
@@ -36,9 +40,19 @@ class Fibre:
         return Interval(self.cells.lo[near].min(0), self.cells.hi[near].max(0))
 
     def volume(self, a: float) -> float:
-        """A lower bound of the volume of |α| ≤ a."""
+        """A lower bound of the volume of the component of |α| ≤ a around q̄."""
+        inside = np.zeros(self.shape, dtype=bool)
+        inside.ravel()[self.index[self.most <= a]] = True
+        found = np.zeros_like(inside)
+        home = (self.cells.lo <= self.center) & (self.center <= self.cells.hi)
+        found.ravel()[self.index[home.all(1)]] = True
+        while True:
+            grown = inside & dilated(found & inside)
+            if (grown == found).all():
+                break
+            found = grown
         sides = self.cells.hi[0] - self.cells.lo[0]
-        return float((self.most <= a).sum()) * float(np.prod(sides)) * (1 - 1e-9)
+        return float(found.sum()) * float(np.prod(sides)) * (1 - 1e-9)
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,10 +66,16 @@ class Fold:
     middle: Vector  # c̄ (r,)
     scale: Vector  # A_K, r × r
 
-    def cover(self, box: Interval, a: float) -> Fibre | None:
-        """Cells of the box with |α| ≤ a; None where they may meet its border or a fold."""
+    def cover(self, box: Interval, q_bar: Vector, a: float) -> Fibre | None:
+        """Cells of the box with |α| ≤ a, one of which holds q̄.
+
+        None where they may meet the border of the box or a fold, or |α| > a at q̄.
+        """
         r = len(self.q)
         parts = _CELLS.get(r, _FEWEST)
+        inside = bool(((box.lo < q_bar) & (q_bar < box.hi)).all())
+        if not (inside and self._bounds(point(q_bar[None]))[1][0] <= a):
+            return None
         cells = subdivide(box, parts)
         least, most, regular = self._bounds(cells)
         index = np.stack(np.unravel_index(np.arange(parts**r), (parts,) * r), -1)
@@ -63,7 +83,8 @@ class Fold:
         near = least <= a * (1 + _EASE)  # so that other arithmetic can confirm it
         if (near & (border | ~regular)).any() or not near.any():
             return None
-        return Fibre(box, cells[near], least[near], most[near])
+        kept = np.flatnonzero(near)
+        return Fibre(box, q_bar, (parts,) * r, kept, cells[kept], least[kept], most[kept])
 
     def _bounds(self, cells: Interval) -> tuple[Vector, Vector, Truth]:
         """Bounds of |α| on cells, and where ∂α/∂q is proved regular, (B,) each."""
@@ -83,7 +104,7 @@ class Fold:
         least = np.maximum(np.sqrt(by_box) * (1 - _ROUND), by_side)
         most = np.sqrt(point(alpha.magnitude + spread).square().sum().hi) * (1 + _ROUND)
         guess = np.where(finite[:, None, None], G.mid, np.eye(r)) + 1e-14 * np.eye(r)
-        near = np.asarray(np.linalg.inv(guess), float)
+        near = np.asarray(np.linalg.pinv(guess), float)
         excess = (matmul(point(near), G) - np.eye(r)).magnitude
         regular = finite & (point(excess).sum().hi.max(-1) < 1)
         return np.where(finite, least, -np.inf), np.where(finite, most, np.inf), regular

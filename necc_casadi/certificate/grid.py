@@ -21,7 +21,7 @@ from necc_casadi.certificate.intervals import Interval, matmul, point
 from necc_casadi.certificate.jets import Jet
 from necc_casadi.networks import Vector
 
-__all__ = ["Flood", "Grid", "boundary", "flood", "make_grid", "spread"]
+__all__ = ["Flood", "Grid", "Indices", "boundary", "dilated", "flood", "make_grid", "spread"]
 
 Indices = npt.NDArray[np.intp]
 
@@ -155,7 +155,7 @@ def _core(grid: Grid, undecided: Truth, start: Indices) -> tuple[tuple[int, ...]
     near = np.zeros(grid.shape, dtype=bool)
     near.ravel()[start] = True
     while True:
-        grown = near | (undecided & _dilated(near))
+        grown = near | (undecided & dilated(near))
         if (grown == near).all():
             break
         near = grown
@@ -175,7 +175,8 @@ def _widened(
     )
 
 
-def _dilated(mask: Truth) -> Truth:
+def dilated(mask: Truth) -> Truth:
+    """Marked cells and all that touch one."""
     result = mask.copy()
     for axis in range(mask.ndim):
         forward = np.moveaxis(result, axis, 0).copy()

@@ -55,7 +55,7 @@ class Growth:
                 left = height - start
                 root = math.sqrt(max(slope**2 + 2 * nu * left, 0.0))
                 step = 2 * left / (slope + root) if slope + root > 0 else width
-                return inner + min(step, width) * (1 + _EASE)
+                return inner + min(step * (1 + _EASE), width)
         return math.inf
 
     def rise(self, rho: float) -> float:

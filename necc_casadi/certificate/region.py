@@ -224,7 +224,9 @@ def _in_chart(
     potential: Potential, domain: Domain, z_bar: Interval, limit: tuple[float, Limit]
 ) -> Proof | None:
     """The region in the coordinates (c, ξ), with a lower bound of its volume and half-widths."""
-    found = widest_chart(potential, z_bar.mid, domain.lo, domain.hi, limit[0])
+    center = z_bar.mid
+    center[-potential.design.loop.controller.nc :] = potential.design.xi_star
+    found = widest_chart(potential, center, domain.lo, domain.hi, limit[0])
     if found is None or not found[0].level > potential.jet(z_bar[None, :]).value.hi[0]:
         return None
     region, sizes = found

@@ -69,7 +69,7 @@ class Transport:
         for inner, outer, start in zip(radii[:-1], radii[1:], starts, strict=True):
             s = Interval(inner / shortest * (1 - _EASE), outer / shortest * (1 + _EASE))
             xi = scaled * s[:, None] + self.xi_bar
-            width = (outer - inner) / shortest * (1 + _EASE)
+            width = (outer - inner) / shortest
             reached, change = self._step(start + moved, xi, scaled, width)
             found = Interval(np.minimum(found.lo, reached.lo), np.maximum(found.hi, reached.hi))
             moved = moved + change
@@ -79,7 +79,7 @@ class Transport:
         self, start: Interval, xi: Interval, v: Interval, width: Vector
     ) -> tuple[Interval, Interval]:
         """(q during a step, its change at the end), (cones, r); not finite where not enclosed."""
-        span = Interval(np.zeros_like(width), width)[:, None]
+        span = Interval(np.zeros_like(width), width * (1 + _EASE))[:, None]
         turned, Q = self._turned(xi, v), start
         for _ in range(_PICARD):
             rate = self._rate(Q, turned)
@@ -94,7 +94,7 @@ class Transport:
             keep = enclosed[:, None]
             Q = Interval(np.where(keep, Q.lo, wide.lo), np.where(keep, Q.hi, wide.hi))
         lost = np.where(enclosed, 0.0, np.inf)[:, None]
-        change = rate * point(width)[:, None]
+        change = rate * Interval(width * (1 - _EASE), width * (1 + _EASE))[:, None]
         spoilt = Interval(-lost, lost)
         return reached + spoilt, change + spoilt
 
@@ -177,5 +177,5 @@ def inverse(A: Vector) -> Interval:
     """A⁻¹ for a well-conditioned matrix: with T near it and E = I − TA, (I − E)⁻¹T."""
     T = np.asarray(np.linalg.inv(A), float)
     excess = float(point((matmul(T, point(A)) - np.eye(len(A))).magnitude).sum().hi.max())
-    slack = 2 * excess * np.abs(T).max(0)
+    slack = (2 * excess if excess < 0.5 else np.inf) * np.abs(T).max(0)
     return Interval(T - slack, T + slack)
