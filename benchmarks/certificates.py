@@ -3,7 +3,8 @@
     python benchmarks/certificates.py [--only NAME,…] [--no-check]
 
 Prints Markdown tables: seconds of each proof, the level c and what limits it, the share of the
-domain, and the reach along each state's axis against the simulated one; then, for loops with at
+domain, and the reach along each state's axis, the others at z̄, and the half-width of the proved
+region over all states, against what is simulated along the axis; then, for loops with at
 most two states beside the momenta, the share against the best that any c could have on the
 box, with and without `Options(convex=True)`.
 """
@@ -116,7 +117,9 @@ def main() -> None:
     print("|---|---|---|---|---|")
     for row in rows:
         print(share_line(row))
-    print("\n| design | reach along each axis: proved / simulated (ratio) |\n|---|---|")
+    print(
+        "\n| design | along each axis: proved / simulated; half-width of Ω / the same |\n|---|---|"
+    )
     for row in rows:
         print(f"| {row.name} | {reach_text(row)} |")
 
@@ -302,15 +305,22 @@ def percent(share: float | None) -> str:
 
 
 def reach_text(row: Row) -> str:
-    """State: proved / simulated."""
-    parts = []
+    """State: along the axis, proved / simulated; then the half-width of Ω over all states."""
+    claims = {claim.name: claim.data for claim in row.certificate.claims}
+    sizes, parts = claims.get("region", {}), []
     for state, (proved, simulated) in row.reach.items():
-        if proved is None:
-            parts.append(f"{state} – / {simulated:.3g}")
-        else:
-            ratio = f"{proved / simulated:.0%}" if simulated > 0 else "–"
-            parts.append(f"{state} {proved:.3g} / {simulated:.3g} ({ratio})")
+        text = f"{state} {share_of(proved, simulated)}"
+        wide = sizes.get(f"reach_{state}")
+        parts.append(text if wide is None else f"{text}; {share_of(wide, simulated)}")
     return ", ".join(parts)
+
+
+def share_of(proved: float | None, simulated: float) -> str:
+    """A proved length beside a simulated one."""
+    if proved is None:
+        return f"– / {simulated:.3g}"
+    ratio = f"{proved / simulated:.0%}" if simulated > 0 else "–"
+    return f"{proved:.3g} / {simulated:.3g} ({ratio})"
 
 
 if __name__ == "__main__":

@@ -143,6 +143,7 @@ def assert_kept(design: Design, certificate, bound: float) -> None:
         assert response.peak_input <= bound
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("design", [spring((-1.5, 1.5)), chain((-1.5, 1.5))])
 def test_simulation_from_the_boundary_never_exceeds_the_limits(design):
     assert_kept(design, certify(design), 1.5)
@@ -182,6 +183,7 @@ def rechecked(folder, change) -> bool:
     return check_input_limits(Evidence(model, Fields(data)), True).holds
 
 
+@pytest.mark.slow
 def test_the_level_is_proved_again_and_a_raised_one_rejected(folder):
     bottom = json.loads((folder / "certificate.json").read_text(encoding="utf-8"))
     design = Design.load(folder)

@@ -119,6 +119,7 @@ def test_sizes_of_quadratics_are_below_the_known_ones_and_close(made):
     assert all(verdicts(folder).values())
 
 
+@pytest.mark.slow
 def test_each_size_that_is_raised_is_rejected(made, tmp_path):
     name, design, certificate, folder = made
     exact = by_hand(design, certificate)

@@ -227,6 +227,7 @@ def other_limits(region):
     yield {"kind": "critical", "at": [k // 3 for k in region["shape"]]}
 
 
+@pytest.mark.slow
 def test_another_limit_is_rejected_even_where_the_words_fit_it(folder, rejected):
     data = content(folder)
     region, active = data["region"], data["region"]["active"]

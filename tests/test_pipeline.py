@@ -38,6 +38,7 @@ def offers(data) -> list[str]:
     return [word for note in data["notes"] for word in re.findall(r"--structure (\S+)", note)]
 
 
+@pytest.mark.slow
 def test_a_structure_that_helps_is_offered_and_taken(motor, tmp_path):
     code, data = run(motor, "--check")
     assert (code, data["status"]) == (3, "refused")
