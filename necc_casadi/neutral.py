@@ -1,4 +1,4 @@
-"""Plants whose Casimirs see nothing of their energy, such as a satellite's attitude.
+"""Plants whose curved Casimirs see nothing of their energy, such as a satellite's attitude.
 
 With no stiffness of the plant's own, the shape of V is the design's alone: K ties the plant to the
 controller, Hc holds the controller. A K stiffer than Hc keeps the Casimirs near their values at z*,
@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import casadi as ca
 import numpy as np
+import sympy as sp
 
 from necc_casadi.casimirs import Casimirs
 from necc_casadi.lifting import Scales
@@ -28,11 +29,13 @@ _TRIES = 4
 
 
 def is_neutral(loop: ClosedLoop, casimirs: Casimirs) -> bool:
-    """Whether H depends on no state that a Casimir contains."""
-    used = (
-        set().union(*(c.free_symbols for c in casimirs.functions)) if casimirs.functions else set()
-    )
-    return bool(used) and not used & loop.plant.H.free_symbols
+    """Whether H depends on no state that a Casimir contains, and some Casimir is not linear.
+
+    Linear Casimirs are good coordinates everywhere: K need not be stiff for their sake.
+    """
+    used = set[sp.Basic]().union(*(c.free_symbols for c in casimirs.functions))
+    slopes = sp.Matrix([[sp.diff(c, s) for s in loop.z] for c in casimirs.functions])
+    return bool(slopes.free_symbols) and not used & loop.plant.H.free_symbols
 
 
 def best_coordinates(terms: Terms, x_star: Vector, guess: Vector, scales: Scales) -> Vector:
