@@ -9,13 +9,13 @@ from __future__ import annotations
 
 import casadi as ca
 import numpy as np
-import sympy as sp
 
 from necc_casadi.casimirs import Casimirs
 from necc_casadi.lifting import Scales
 from necc_casadi.loop import ClosedLoop
 from necc_casadi.lyapunov import Terms
 from necc_casadi.networks import Vector
+from necc_casadi.plant import gradient
 
 __all__ = ["HELD_XI", "NEUTRAL_STIFFNESS", "best_coordinates", "is_neutral"]
 
@@ -33,9 +33,9 @@ def is_neutral(loop: ClosedLoop, casimirs: Casimirs) -> bool:
 
     Linear Casimirs are good coordinates everywhere: K need not be stiff for their sake.
     """
-    used = set[sp.Basic]().union(*(c.free_symbols for c in casimirs.functions))
-    slopes = sp.Matrix([[sp.diff(c, s) for s in loop.z] for c in casimirs.functions])
-    return bool(slopes.free_symbols) and not used & loop.plant.H.free_symbols
+    curved = any(gradient(c, loop.z).free_symbols for c in casimirs.functions)
+    used = (c.free_symbols for c in casimirs.functions)
+    return curved and not any(states & loop.plant.H.free_symbols for states in used)
 
 
 def best_coordinates(terms: Terms, x_star: Vector, guess: Vector, scales: Scales) -> Vector:

@@ -42,6 +42,7 @@ from necc_casadi.lifting import Lifting, Scales
 from necc_casadi.lyapunov import Form, Terms
 from necc_casadi.networks import KAPPA_MIN, Vector
 from necc_casadi.outcome import Start
+from necc_casadi.shaped_rows import Rows
 from necc_casadi.shaping import Shaping, moving_weights, sharper
 
 __all__ = ["Solution", "train"]
@@ -356,7 +357,7 @@ class _Solver:
             f = f + self._proximity(s, w, start)
         if penalty is not None:
             f = f + penalty(weights, s[:nc])
-        rows = _Rows(shaping, lifting, w, s[-1]) if shaping is not None else None
+        rows = Rows(shaping, lifting, w, s[-1]) if shaping is not None else None
         p = start if rows is None else ca.vertcat(start, rows.parameters)
         g = ca.vertcat(lifting.residuals(weights, s[:n_lifted]), equal, unequal)
         slopes = {}
@@ -394,7 +395,7 @@ class _Solver:
         return (ca.dot(self._cost(), (w - start[nc:]) ** 2) + self.xi_cost * pull) / 2
 
     def _hessian(
-        self, s: ca.MX, w: ca.MX, p: ca.MX, f: ca.MX, g: ca.MX, rows: _Rows | None
+        self, s: ca.MX, w: ca.MX, p: ca.MX, f: ca.MX, g: ca.MX, rows: Rows | None
     ) -> dict[str, object]:
         """Exact second derivatives for few weights; for many, Gauss–Newton in θ.
 
@@ -466,37 +467,6 @@ class _Solver:
         weights, z_star = lifting.sigma * w0 + lifting.tau, np.concatenate([lifting.x_star, xi0])
         A, b = shaping.rows(lifting.terms, lifting.form, weights, z_star)
         return A * lifting.sigma[moving], b + A @ lifting.tau[moving], moving
-
-
-class _Rows:
-    """The rows u = A ŵ[moving] + b of a shaping in the program; A and b are parameters."""
-
-    def __init__(self, shaping: Shaping, lifting: Lifting, w: ca.MX, c: ca.MX) -> None:
-        moving = moving_weights(lifting.form)
-        A, b = ca.MX.sym("A", shaping.count, moving.size), ca.MX.sym("b", shaping.count)
-        u, level = ca.SX.sym("u", shaping.count), ca.SX.sym("c")
-        objective = shaping.objective(u, level)
-        second = ca.diag(ca.hessian(objective, u)[0])
-        terms = ca.Function("shape", [u, level], [objective, shaping.margins(u, level), second])
-        selection = ca.DM.eye(w.numel())[moving.tolist(), :]
-        self.parameters = ca.vertcat(ca.vec(A), b)
-        self.objective, self.margins, second = terms(A @ (selection @ w) + b, c)
-        weighted = ca.repmat(second, 1, moving.size) * A
-        self.curvature = selection.T @ (A.T @ weighted) @ selection
-        slopes = ca.jacobian(shaping.margins(u, level), ca.vertcat(level, u))
-        at_level, at_rows = ca.DM(slopes)[:, 0], ca.sparsify(ca.DM(slopes)[:, 1:])
-        self.slope = ca.horzcat(at_level, (at_rows @ A) @ selection)
-
-    def first_derivative(self, s: ca.MX, w: ca.MX, p: ca.MX, g: ca.MX) -> dict[str, object]:
-        """The Jacobian of the constraints, of these rows without differentiation.
-
-        `g` holds the other constraints; the level is the last entry of `s`.
-        """
-        x = ca.vertcat(s, w)
-        own = ca.horzcat(ca.MX(self.slope.size1(), s.numel() - 1), self.slope)
-        jacobian = ca.vertcat(ca.jacobian(g, x), own)
-        both = [ca.vertcat(g, self.margins), jacobian]
-        return {"jac_g": ca.Function("jac_g", [x, p], both)}
 
 
 def _with_level(program: _Program) -> _Program:

@@ -6,7 +6,6 @@ Results are kept per box, since neighbouring cells ask for the same ones.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from itertools import combinations_with_replacement, product
 from typing import Any
 
 import sympy as sp
@@ -170,19 +169,6 @@ class Energy:
         """The Casimirs and their gradients over a box."""
         tables = self._tables[1:]
         return [f(box) for f, _, _ in tables], [[g(box) for g in grad] for _, grad, _ in tables]
-
-    def casimir_derivatives(self, order: int, box: Box) -> list[list[arb]]:
-        """For each Casimir its derivatives of an order over a box, row-major in the indices."""
-        values = {v: ball(*b) for v, b in zip(self.variables, box, strict=True)}
-        rows = []
-        for f, _, _ in self._tables[1:]:
-            known: dict[tuple[int, ...], sp.Expr] = {(): f.expr}
-            for k in range(1, order + 1):
-                keys = combinations_with_replacement(range(self.d), k)
-                known = {key: sp.diff(known[key[1:]], self.variables[key[0]]) for key in keys}
-            found = {key: evaluate(entry, values) for key, entry in known.items()}
-            rows.append([found[tuple(sorted(i))] for i in product(range(self.d), repeat=order)])
-        return rows
 
     def hessian(self, box: Box, sign: int = 1) -> arb_mat:
         """A matrix L with ∇²V ⪰ L (sign 1) or ∇²V ⪯ L (sign −1) over a box.
