@@ -19,6 +19,7 @@ from necc_casadi.artifact import Design, write_text
 from necc_casadi.assignability import Verdict, judge
 from necc_casadi.casimirs import Casimirs, find_casimirs
 from necc_casadi.certificate import Certificate, certify
+from necc_casadi.certificate.region import GridRegion
 from necc_casadi.certificate.structure import quadratic_states
 from necc_casadi.errors import OptionError, OutputError
 from necc_casadi.figures import (
@@ -49,6 +50,8 @@ __all__ = ["Request", "run_design"]
 _RESPONSES = 10
 #: A design whose ε is above this gets a note with IPOPT's status and what to try.
 _NOTED_LOSS = 1e-9
+#: A proved region below this share of the domain gets a note on how it may grow.
+_SMALL = 0.1
 
 Say = Callable[[str], None]
 
@@ -181,10 +184,20 @@ class _Making:
         with self.stage("certify", "proving"):
             certificate = certify(made, report=lambda stage, _: self.say(f"proving: {stage}"))
         self.found.certificate = certificate
+        self.found.notes += self.advice(certificate)
         out = self.request.out
         self.wrote(made.save(out / "design.json"))
         self.wrote(write_text(out / "certificate.json", certificate.to_json()))
         return certificate
+
+    def advice(self, certificate: Certificate) -> list[str]:
+        """How a small region on a grid may grow: V can be shaped for it."""
+        options, share = self.options, certificate.domain_share
+        plain = options.shape == "none" and not (options.convex or options.learn_casimir)
+        small = share is not None and share < _SMALL and isinstance(certificate.region, GridRegion)
+        if plain and small and options.phi == "sum":
+            return ["the proved region is small: --shape level shapes V for a larger one"]
+        return []
 
     def simulate(self, made: Design) -> None:
         """Responses from random states of the domain, and the share from which it converges."""
