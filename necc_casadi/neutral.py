@@ -43,10 +43,9 @@ def best_coordinates(terms: Terms, x_star: Vector, guess: Vector, scales: Scales
 
     Where that grows up to the end of the search, or not at all, the guess stays.
     """
-    xi = ca.MX.sym("xi", terms.nc)
-    z = ca.MX.sym("z", terms.n + terms.nc)
-    slopes = ca.Function("N", [z], [ca.jacobian(terms.c(z), z)[:, : terms.n]])
-    N = slopes(ca.vertcat(x_star, xi)) @ ca.diag(scales.state[: terms.n])
+    xi, z = ca.SX.sym("xi", terms.nc), ca.SX.sym("z", terms.n + terms.nc)
+    slopes = ca.jacobian(terms.c(z), z)[:, : terms.n]
+    N = ca.substitute(slopes, z, ca.vertcat(x_star, xi)) @ ca.diag(scales.state[: terms.n])
     worth = ca.log(ca.det(N @ N.T) + 1e-12)
     options = {"print_time": False, "ipopt.print_level": 0, "ipopt.sb": "yes", "ipopt.tol": 1e-8}
     solver = ca.nlpsol("chart", "ipopt", {"x": xi, "f": -worth}, options)
