@@ -30,6 +30,9 @@ from necc_casadi.model_file import load_model
 from necc_casadi.networks import Network
 from necc_casadi.simulation import converging
 
+#: Together longer than the quick suite can afford; CI runs them.
+pytestmark = pytest.mark.slow
+
 #: Where the relative attitude of plant and controller makes the Casimirs good coordinates.
 XI = np.array([-0.776, -0.574, -0.473])
 

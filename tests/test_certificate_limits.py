@@ -22,6 +22,9 @@ from necc_casadi.lyapunov import Form
 from necc_casadi.networks import MonotonePhi, Network
 from necc_casadi.simulation import simulate
 
+#: Together longer than the quick suite can afford; CI runs them.
+pytestmark = pytest.mark.slow
+
 QUADRATIC = Form(Network(1, (), quadratic=True), Network(1, (), quadratic=True))
 
 

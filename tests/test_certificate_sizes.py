@@ -25,6 +25,9 @@ from necc_casadi.certificate.region import domain_of
 from necc_casadi.certificate.search import widest_grid
 from necc_casadi.certificate.structure import quadratic_states
 
+#: Together longer than the quick suite can afford; CI runs them.
+pytestmark = pytest.mark.slow
+
 
 def roomy(**sides: float):
     """A domain ±side around 0 for each state named."""

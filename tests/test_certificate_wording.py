@@ -21,6 +21,9 @@ from necc_casadi.networks import Network
 from necc_casadi.plant import make_plant
 from necc_casadi.terminal import run
 
+#: Together longer than the quick suite can afford; CI runs them.
+pytestmark = pytest.mark.slow
+
 QUADRATIC = Form(Network(1, (), quadratic=True), Network(1, (), quadratic=True))
 
 

@@ -19,6 +19,9 @@ from necc_casadi.artifact import Design
 from necc_casadi.certificate import certify
 from necc_casadi.report import loss
 
+#: Together longer than the quick suite can afford; CI runs them.
+pytestmark = pytest.mark.slow
+
 #: ∇C ∝ (exp(−sin(q)/4), 0, −1): the Casimir exists, and has no closed form.
 WARPED = BASE + "\nJ = sp.exp(sp.sin(q) / 4) * J\n"
 POINTS = 400
