@@ -11,6 +11,7 @@ import casadi as ca
 import numpy as np
 
 from necc_casadi.casimirs import Casimirs
+from necc_casadi.interrupts import interruptible
 from necc_casadi.lifting import Scales
 from necc_casadi.loop import ClosedLoop
 from necc_casadi.lyapunov import Terms
@@ -54,7 +55,8 @@ def best_coordinates(terms: Terms, x_star: Vector, guess: Vector, scales: Scales
     best, found = guess, -float(ca.Function("worth", [xi], [worth])(guess)) - 1e-3
     for index in range(_TRIES):
         start = guess + half * (rng.uniform(-0.5, 0.5, guess.size) if index else 0.0)
-        result = solver(x0=start, lbx=guess - half, ubx=guess + half)
+        with interruptible():
+            result = solver(x0=start, lbx=guess - half, ubx=guess + half)
         end = np.asarray(result["x"], float).ravel()
         inside = np.all(np.abs(end - guess) < 0.99 * half)
         if inside and solver.stats()["success"] and float(result["f"]) < found - 1e-6:

@@ -28,6 +28,7 @@ from necc_casadi.certificate.fibre import Fibre, Fold
 from necc_casadi.certificate.growth import Growth, growth
 from necc_casadi.certificate.intervals import Interval, point
 from necc_casadi.certificate.jets import constant
+from necc_casadi.certificate.sizes import ball_volume
 from necc_casadi.certificate.structure import subdivide
 from necc_casadi.certificate.transport import Transport, values_on
 from necc_casadi.networks import Vector
@@ -211,7 +212,7 @@ class Chart:
         height = region.level - float(self.bottom.hi)
         rho = min(self._inner(height, region.above), region.a, region.b)
         # dα dη = |det A_K ∂c/∂q| |det A_H| dq dξ, and |det ∂c/∂q| ≤ Π ‖∂cᵢ/∂q‖ (Hadamard)
-        ball = math.pi ** (len(sides) / 2) / math.gamma(len(sides) / 2 + 1) * rho ** len(sides)
+        ball = ball_volume(len(sides)) * rho ** len(sides)
         scale = abs(np.linalg.det(self.fold.scale) * np.linalg.det(self.transport.scale))
         volume = _VOLUME * ball / float(scale * self._steepest(Q, region.b))
         sizes = {

@@ -22,7 +22,7 @@ from necc_casadi.certificate.intervals import Interval
 from necc_casadi.certificate.search import Found
 from necc_casadi.networks import Vector
 
-__all__ = ["ellipsoid_sizes", "grid_sizes"]
+__all__ = ["ball_volume", "ellipsoid_sizes", "grid_sizes"]
 
 #: Room for rounding, and for the other arithmetic of the checker.
 _EXACT, _EASE = 1 - 1e-12, 0.999
@@ -100,21 +100,21 @@ def ellipsoid_sizes(
     shift = float(np.linalg.norm(np.abs(L[n:, n:].T) @ offset.magnitude))
     inverse = np.asarray(np.linalg.inv(L), float)
     diagonal = np.diagonal(L)
-    volume = _ball(d) * radius**d / float(np.prod(diagonal))
+    volume = ball_volume(d) * radius**d / float(np.prod(diagonal))
     within = math.sqrt(max(0.0, radius**2 - shift**2))
     shadow = math.sqrt(max(0.0, float(np.linalg.det(inverse[:, :n].T @ inverse[:, :n]))))
     plant = float(np.prod(sides[:n]))
     sizes = {
         "volume": volume,
         "domain_share": volume / float(np.prod(sides)),
-        "slice_share": _ball(n) * within**n / float(np.prod(diagonal[:n])) / plant,
-        "plant_share": _ball(n) * radius**n * shadow / plant,
+        "slice_share": ball_volume(n) * within**n / float(np.prod(diagonal[:n])) / plant,
+        "plant_share": ball_volume(n) * radius**n * shadow / plant,
     }
     sizes |= _reach(potential, half_axes(L, radius))
     return {key: float(value) * _EASE for key, value in sizes.items()}
 
 
-def _ball(d: int) -> float:
+def ball_volume(d: int) -> float:
     """Volume of the unit ball."""
     return float(math.pi ** (d / 2) / math.gamma(d / 2 + 1))
 
