@@ -35,10 +35,9 @@ from necc_casadi import (
     load_model,
     paper_options,
 )
-from necc_casadi.certificate.checker import check
-from necc_casadi.certificate.structure import quadratic_states
-from necc_casadi.simulation import converging, domain_box, simulated_share
-from necc_casadi.target import parse_target, target_from_model
+from necc_casadi.certificate.checker.check import check
+from necc_casadi.model.target import parse_target, target_from_model
+from necc_casadi.simulation.convergence import converging, simulated_share
 
 EXAMPLES = Path(__file__).parent.parent / "examples"
 DEEP = {"hidden_k": (64, 64), "hidden_h": (32, 32)}
@@ -138,7 +137,7 @@ def measured(case: Case, checked: bool) -> Row:
         began = time.perf_counter()
         rechecked = holds_again(made, certificate)
         seconds = time.perf_counter() - began
-    resting = quadratic_states(made)
+    resting = made.momenta
     return Row(
         name=case.name,
         seconds=(local, region, seconds),
@@ -188,7 +187,7 @@ def possible_share(made: Design, resting: Sequence[int]) -> float | None:
     active = [i for i in range(made.loop.n) if i not in resting]
     if len(active) not in FINE:
         return None
-    lo, hi = domain_box(made)
+    lo, hi = made.domain.lo, made.domain.hi
     axes = [np.linspace(lo[i], hi[i], FINE[len(active)]) for i in active]
     mesh = np.stack([v.ravel() for v in np.meshgrid(*axes, indexing="ij")], -1)
     points = np.zeros((len(mesh), made.loop.n))
@@ -245,12 +244,12 @@ def reaches(made: Design, certificate: Certificate) -> dict[str, tuple[float | N
     region = certificate.region
 
     def covered(z: np.ndarray) -> bool:
-        return region is not None and region.contains(made, z)
+        return region is not None and region.contains(made.V, z)
 
     def settles(z: np.ndarray) -> bool:
         return bool(converging(made, z[None]).arrived[0])
 
-    lo, hi = domain_box(made)
+    lo, hi = made.domain.lo, made.domain.hi
     result = {}
     for i, name in enumerate(made.loop.states):
         axis = np.eye(made.loop.n)[i]

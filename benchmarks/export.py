@@ -23,14 +23,15 @@ import casadi as ca
 import numpy as np
 import sympy as sp
 
-from necc_casadi.artifact import Design
-from necc_casadi.assignability import judge
-from necc_casadi.casimirs import Casimirs
-from necc_casadi.export import export_c
-from necc_casadi.loop import default_controller, interconnect
-from necc_casadi.lyapunov import Form
-from necc_casadi.networks import Network
-from necc_casadi.plant import make_plant
+from necc_casadi.casimirs.casimirs import Casimirs
+from necc_casadi.designs.design import Design
+from necc_casadi.export.c_project import export_c
+from necc_casadi.lyapunov.networks import Network
+from necc_casadi.lyapunov.parameterization import Form
+from necc_casadi.model.closed_loop import interconnect
+from necc_casadi.model.controller import default_controller
+from necc_casadi.model.plant import make_plant
+from necc_casadi.verdict.judge import judge
 
 HERE = Path(__file__).parent
 STRICT = ["-std=c99", "-ffp-contract=off"]
@@ -352,7 +353,7 @@ def onnx_peer(design: Design) -> Callable[[], object]:
 
 def loaded_peer(folder: Path) -> Callable[[], object]:
     """The emitted C through ctypes with arrays prepared once."""
-    from necc_casadi.export import load_controller
+    from necc_casadi.export.compiled import load_controller
 
     compiled = load_controller(folder, flags=NATIVE)
     arrays = [(ctypes.c_double * n)(*v) for n, v in ((2, POINT[0]), (1, POINT[1]))]
@@ -437,7 +438,7 @@ def cortex(folder: Path) -> Iterator[tuple[str, str, list[str]]]:
 
 def _host_hash(source: Path) -> str:
     """The hash of export_cortex_m.c, of the same C compiled for this machine."""
-    from necc_casadi.export import load_controller
+    from necc_casadi.export.compiled import load_controller
 
     compiled, value = load_controller(source), 0
     for call in range(200):

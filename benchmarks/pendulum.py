@@ -31,8 +31,8 @@ from necc_casadi import (
     paper_options,
     parse_target,
 )
-from necc_casadi.export import compile_controller
-from necc_casadi.simulation import random_states
+from necc_casadi.export.compiled import compile_controller
+from necc_casadi.simulation.responses import random_states
 
 MODEL = Path(__file__).parent.parent / "examples" / "pendulum.py"
 SIZES = {"64 / 32": ((64,), (32,)), "64-64 / 32-32": ((64, 64), (32, 32))}

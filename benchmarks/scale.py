@@ -33,10 +33,10 @@ from necc_casadi import (
     make_plant,
     simulate,
 )
-from necc_casadi.damping import choose_damping
-from necc_casadi.loop import default_controller
-from necc_casadi.lyapunov import LyapunovFunction, make_terms
-from necc_casadi.simulation import random_states
+from necc_casadi.lyapunov.lyapunov import LyapunovFunction, make_terms
+from necc_casadi.model.controller import default_controller
+from necc_casadi.simulation.responses import random_states
+from necc_casadi.synthesis.damping import choose_damping
 
 T = TypeVar("T")
 STEPS = ("plant", "Casimirs", "verdict", "training", "damping", "certificate", "response")

@@ -21,11 +21,10 @@ import numpy as np
 from certificates import possible_share
 
 from necc_casadi import Design, Options, certify, design, find_casimirs, judge, load_model, simulate
-from necc_casadi.certificate.region import domain_of
-from necc_casadi.certificate.structure import quadratic_states
-from necc_casadi.shaping import SHAPES, quasi_random
-from necc_casadi.simulation import default_horizon, random_states
-from necc_casadi.target import parse_target, target_from_model
+from necc_casadi.model.samples import quasi_random
+from necc_casadi.model.target import parse_target, target_from_model
+from necc_casadi.simulation.responses import default_horizon, random_states
+from necc_casadi.synthesis.options import SHAPES
 
 EXAMPLES = Path(__file__).parent.parent / "examples"
 TARGETS = {"pendulum": "pi/4"}
@@ -97,7 +96,7 @@ def measured(make: Callable[[Options], Design], shape: str, seed: int, starts: i
     level = certificate.level if certificate.level is not None else -np.inf
     return Row(
         proved=certificate.domain_share or 0.0,
-        possible=possible_share(made, quadratic_states(made)),
+        possible=possible_share(made, made.momenta),
         with_momenta=share_below(made, level),
         level=level - made.V(made.z_bar),
         loss=best.loss,
@@ -110,7 +109,7 @@ def measured(make: Callable[[Options], Design], shape: str, seed: int, starts: i
 
 def share_below(made: Design, level: float) -> float:
     """Share of the whole domain, momenta included, on which V ≤ level, by samples."""
-    domain = domain_of(made)
+    domain = made.domain
     points = domain.lo + quasi_random(SAMPLES, made.loop.n, 0) * (domain.hi - domain.lo)
     values = np.asarray(made.lyapunov.V.map(SAMPLES)(points.T), float)
     return float((values <= level).mean())

@@ -16,19 +16,20 @@ import numpy as np
 import sympy as sp
 
 from necc_casadi import certify, design
-from necc_casadi.figures import (
+from necc_casadi.model.model_file import load_model
+from necc_casadi.pipeline.request import Request
+from necc_casadi.pipeline.run import run_design
+from necc_casadi.report.figures import (
     region_boundary,
     region_figure,
     responses_figure,
     write_figure,
 )
-from necc_casadi.model_file import load_model
-from necc_casadi.pipeline import Request, run_design
-from necc_casadi.report import Findings, attracts, region_claim
-from necc_casadi.simulation import simulate
-from necc_casadi.slices import extent
-from necc_casadi.summary import percent, rounded_down
-from necc_casadi.synthesis import Options
+from necc_casadi.report.findings import Findings, attracts, region_claim
+from necc_casadi.report.slices import extent
+from necc_casadi.report.to_text import percent, rounded_down
+from necc_casadi.simulation.responses import simulate
+from necc_casadi.synthesis.options import Options
 
 DOCS = Path(__file__).parent
 IMAGES = DOCS / "images"

@@ -22,80 +22,74 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING
 
-__version__ = "0.1.0"
+if TYPE_CHECKING:  # what _HOME says, for tools that do not run the code
+    from necc_casadi.casimirs.casimirs import Casimirs as Casimirs
+    from necc_casadi.casimirs.find import find_casimirs as find_casimirs
+    from necc_casadi.certificate.claims.certificate import Certificate as Certificate
+    from necc_casadi.certificate.prover.certify import certify as certify
+    from necc_casadi.designs.design import Design as Design
+    from necc_casadi.export.c_project import export_c as export_c
+    from necc_casadi.model.closed_loop import ClosedLoop as ClosedLoop
+    from necc_casadi.model.closed_loop import interconnect as interconnect
+    from necc_casadi.model.controller import Controller as Controller
+    from necc_casadi.model.controller import make_controller as make_controller
+    from necc_casadi.model.model_file import Model as Model
+    from necc_casadi.model.model_file import load_model as load_model
+    from necc_casadi.model.plant import Plant as Plant
+    from necc_casadi.model.plant import make_plant as make_plant
+    from necc_casadi.model.target import parse_target as parse_target
+    from necc_casadi.simulation.responses import Trajectory as Trajectory
+    from necc_casadi.simulation.responses import simulate as simulate
+    from necc_casadi.synthesis.options import Options as Options
+    from necc_casadi.synthesis.options import paper_options as paper_options
+    from necc_casadi.synthesis.synthesis import design as design
+    from necc_casadi.verdict.judge import judge as judge
+    from necc_casadi.verdict.verdict import Verdict as Verdict
 
-if TYPE_CHECKING:
-    from necc_casadi.artifact import Design
-    from necc_casadi.assignability import Verdict, judge
-    from necc_casadi.casimirs import Casimirs, find_casimirs
-    from necc_casadi.certificate import Certificate, certify
-    from necc_casadi.export import export_c
-    from necc_casadi.loop import ClosedLoop, Controller, interconnect, make_controller
-    from necc_casadi.model_file import Model, load_model
-    from necc_casadi.plant import Plant, make_plant
-    from necc_casadi.simulation import Trajectory, simulate
-    from necc_casadi.synthesis import Options, design, paper_options
-    from necc_casadi.target import parse_target
+    __version__: str
 
+#: Public names and the modules they live in.
 _HOME = {
-    "Casimirs": "casimirs",
-    "Certificate": "certificate",
-    "ClosedLoop": "loop",
-    "Controller": "loop",
-    "Design": "artifact",
-    "Model": "model_file",
-    "Options": "synthesis",
-    "Plant": "plant",
-    "Trajectory": "simulation",
-    "Verdict": "assignability",
-    "certify": "certificate",
-    "design": "synthesis",
-    "export_c": "export",
-    "find_casimirs": "casimirs",
-    "interconnect": "loop",
-    "judge": "assignability",
-    "load_model": "model_file",
-    "make_controller": "loop",
-    "make_plant": "plant",
-    "paper_options": "synthesis",
-    "parse_target": "target",
-    "simulate": "simulation",
+    "Casimirs": "casimirs.casimirs",
+    "Certificate": "certificate.claims.certificate",
+    "ClosedLoop": "model.closed_loop",
+    "Controller": "model.controller",
+    "Design": "designs.design",
+    "Model": "model.model_file",
+    "Options": "synthesis.options",
+    "Plant": "model.plant",
+    "Trajectory": "simulation.responses",
+    "Verdict": "verdict.verdict",
+    "certify": "certificate.prover.certify",
+    "design": "synthesis.synthesis",
+    "export_c": "export.c_project",
+    "find_casimirs": "casimirs.find",
+    "interconnect": "model.closed_loop",
+    "judge": "verdict.judge",
+    "load_model": "model.model_file",
+    "make_controller": "model.controller",
+    "make_plant": "model.plant",
+    "paper_options": "synthesis.options",
+    "parse_target": "model.target",
+    "simulate": "simulation.responses",
 }
 
-__all__ = [
-    "Casimirs",
-    "Certificate",
-    "ClosedLoop",
-    "Controller",
-    "Design",
-    "Model",
-    "Options",
-    "Plant",
-    "Trajectory",
-    "Verdict",
-    "__version__",
-    "certify",
-    "design",
-    "export_c",
-    "find_casimirs",
-    "interconnect",
-    "judge",
-    "load_model",
-    "make_controller",
-    "make_plant",
-    "paper_options",
-    "parse_target",
-    "simulate",
-]
+__all__ = ["__version__", *_HOME]
 
 
 def __getattr__(name: str) -> object:
-    if name not in _HOME:
+    value: object
+    if name == "__version__":
+        from importlib.metadata import version
+
+        value = version("necc-casadi")
+    elif name in _HOME:
+        value = getattr(import_module(f"necc_casadi.{_HOME[name]}"), name)
+    else:
         raise AttributeError(f"module 'necc_casadi' has no attribute {name!r}")
-    value = getattr(import_module(f"necc_casadi.{_HOME[name]}"), name)
     globals()[name] = value
     return value
 
 
 def __dir__() -> list[str]:
-    return __all__
+    return sorted(__all__)

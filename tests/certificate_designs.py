@@ -9,13 +9,15 @@ import casadi as ca
 import numpy as np
 import sympy as sp
 
-from necc_casadi.artifact import Design
-from necc_casadi.assignability import Verdict
-from necc_casadi.casimirs import Casimirs, find_casimirs
-from necc_casadi.loop import ClosedLoop, default_controller, interconnect
-from necc_casadi.lyapunov import Form
-from necc_casadi.networks import MonotonePhi, Network
-from necc_casadi.plant import Plant, make_plant
+from necc_casadi.casimirs.casimirs import Casimirs
+from necc_casadi.casimirs.find import find_casimirs
+from necc_casadi.designs.design import Design
+from necc_casadi.lyapunov.networks import MonotonePhi, Network
+from necc_casadi.lyapunov.parameterization import Form
+from necc_casadi.model.closed_loop import ClosedLoop, interconnect
+from necc_casadi.model.controller import default_controller
+from necc_casadi.model.plant import Plant, make_plant
+from necc_casadi.verdict.verdict import Verdict
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 
@@ -94,7 +96,7 @@ def fitted(plant, target, form: Form, xi_star, curvature=None, seed=0, **options
     design = make_design(
         plant, target, form, form.initial(np.random.default_rng(seed)), xi_star, **options
     )
-    from necc_casadi.lyapunov import make_terms, value
+    from necc_casadi.lyapunov.lyapunov import make_terms, value
 
     terms = make_terms(design.loop, design.casimirs)
     w, z = ca.MX.sym("w", form.size), ca.MX.sym("z", design.loop.n)

@@ -6,12 +6,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from necc_casadi.artifact import Design
-from necc_casadi.assignability import judge
-from necc_casadi.casimirs import find_casimirs
-from necc_casadi.model_file import load_model
-from necc_casadi.synthesis import Options, design, paper_options
-from necc_casadi.target import parse_target
+from necc_casadi.casimirs.find import find_casimirs
+from necc_casadi.designs.design import Design
+from necc_casadi.model.model_file import load_model
+from necc_casadi.model.target import parse_target
+from necc_casadi.synthesis.options import Options, paper_options
+from necc_casadi.synthesis.synthesis import design
+from necc_casadi.verdict.judge import judge
 
 PENDULUM = Path(__file__).parents[1] / "examples" / "pendulum.py"
 

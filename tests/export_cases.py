@@ -7,13 +7,14 @@ import numpy as np
 import sympy as sp
 from hypothesis import strategies as st
 
-from necc_casadi.artifact import Design
-from necc_casadi.assignability import Verdict
-from necc_casadi.casimirs import Casimirs
-from necc_casadi.loop import ClosedLoop, default_controller, interconnect
-from necc_casadi.lyapunov import Form
-from necc_casadi.networks import ACTIVATIONS, MonotonePhi, Network
-from necc_casadi.plant import make_plant
+from necc_casadi.casimirs.casimirs import Casimirs
+from necc_casadi.designs.design import Design
+from necc_casadi.lyapunov.networks import ACTIVATIONS, MonotonePhi, Network
+from necc_casadi.lyapunov.parameterization import Form
+from necc_casadi.model.closed_loop import ClosedLoop, interconnect
+from necc_casadi.model.controller import default_controller
+from necc_casadi.model.plant import make_plant
+from necc_casadi.verdict.verdict import Verdict
 
 STRICT = [
     "-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Wdouble-promotion",

@@ -5,8 +5,8 @@ from collections.abc import Callable
 import numpy as np
 import sympy as sp
 
-from necc_casadi.artifact import Design
-from necc_casadi.networks import MonotonePhi, Network
+from necc_casadi.designs.design import Design
+from necc_casadi.lyapunov.networks import MonotonePhi, Network
 
 ACTIVATE = {
     "tanh": np.tanh,

@@ -8,10 +8,11 @@ from pathlib import Path
 import numpy as np
 import sympy as sp
 
-from necc_casadi.assignability import judge
-from necc_casadi.casimirs import find_casimirs
-from necc_casadi.loop import default_controller, interconnect, make_controller
-from necc_casadi.plant import make_plant
+from necc_casadi.casimirs.find import find_casimirs
+from necc_casadi.model.closed_loop import interconnect
+from necc_casadi.model.controller import default_controller, make_controller
+from necc_casadi.model.plant import make_plant
+from necc_casadi.verdict.judge import judge
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 

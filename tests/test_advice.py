@@ -2,7 +2,8 @@
 
 import pytest
 
-from necc_casadi.pipeline import Request, run_design
+from necc_casadi.pipeline.request import Request
+from necc_casadi.pipeline.run import run_design
 
 MODEL = """
 import sympy as sp

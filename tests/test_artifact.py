@@ -8,12 +8,14 @@ import numpy as np
 import pytest
 import reference
 
-from necc_casadi.artifact import FORMAT, Design, write_text
+from necc_casadi.designs.design import Design
+from necc_casadi.designs.layout import DESIGN_FORMAT
 from necc_casadi.errors import OutputError
+from necc_casadi.files import write_text
 
 PROBE = """
 import sys, hashlib, numpy as np
-from necc_casadi.artifact import Design
+from necc_casadi.designs.design import Design
 made = Design.load(sys.argv[1])
 z = np.array([float.fromhex(v) for v in sys.argv[2].split(",")])
 u, rate = made.control(z[:made.loop.plant.n], z[made.loop.plant.n:])
@@ -66,7 +68,7 @@ def test_a_folder_is_as_good_as_its_file(default_design, tmp_path):
 
 def test_the_file_is_plain_json_with_hexadecimal_weights(default_design):
     data = json.loads(default_design.text)
-    assert data["format"] == FORMAT
+    assert data["format"] == DESIGN_FORMAT
     assert [float.fromhex(v) for v in data["weights"]] == default_design.weights.tolist()
     assert data["seed"] == 0
     assert {"necc-casadi", "casadi", "numpy", "sympy"} <= set(data["versions"])
@@ -84,7 +86,7 @@ def _edit(path, value):
 
 
 EDITS = {
-    "another format": _edit(["format"], FORMAT + 1),
+    "another format": _edit(["format"], DESIGN_FORMAT + 1),
     "no format": lambda data: data.pop("format"),
     "no verdict": lambda data: data.pop("verdict"),
     "another energy": _edit(["model", "H"], "p**2/2 + 2 - 2*cos(q)"),

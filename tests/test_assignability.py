@@ -18,11 +18,17 @@ from symbolic_plants import (
     verdict_of,
 )
 
-from necc_casadi.assignability import judge
-from necc_casadi.casimirs import Casimirs, find_casimirs
-from necc_casadi.loop import default_controller, interconnect, make_controller
-from necc_casadi.plant import make_plant
-from necc_casadi.structures import complete_controller, kinematic_copy, suggest_controllers
+from necc_casadi.casimirs.casimirs import Casimirs
+from necc_casadi.casimirs.find import find_casimirs
+from necc_casadi.model.closed_loop import interconnect
+from necc_casadi.model.controller import default_controller, make_controller
+from necc_casadi.model.plant import make_plant
+from necc_casadi.verdict.controller_structures import (
+    complete_controller,
+    kinematic_copy,
+    suggest_controllers,
+)
+from necc_casadi.verdict.judge import judge
 
 
 def default_loop(plant):

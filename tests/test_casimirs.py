@@ -13,12 +13,13 @@ from symbolic_plants import (
     transformed,
 )
 
-from necc_casadi.casimirs import find_casimirs
+from necc_casadi.casimirs.find import find_casimirs
+from necc_casadi.casimirs.involution import closure, lie_bracket
 from necc_casadi.errors import ModelError
-from necc_casadi.involution import closure, lie_bracket
-from necc_casadi.loop import default_controller, interconnect
-from necc_casadi.plant import make_plant
-from necc_casadi.structures import kinematic_copy
+from necc_casadi.model.closed_loop import interconnect
+from necc_casadi.model.controller import default_controller
+from necc_casadi.model.plant import make_plant
+from necc_casadi.verdict.controller_structures import kinematic_copy
 
 
 def default_loop(plant):

@@ -16,16 +16,17 @@ from certificate_designs import (
 
 from necc_casadi import Options, find_casimirs, judge, load_model
 from necc_casadi import design as synthesised
-from necc_casadi.certificate import certify, statements
-from necc_casadi.certificate.ball_energy import Energy
-from necc_casadi.certificate.check_model import Model
-from necc_casadi.certificate.checker import check
-from necc_casadi.cli import _certify
+from necc_casadi.certificate.checker.arithmetic.potential import Energy
+from necc_casadi.certificate.checker.check import check
+from necc_casadi.certificate.checker.model import StoredDesign
+from necc_casadi.certificate.claims import statements
+from necc_casadi.certificate.prover.certify import certify
+from necc_casadi.cli.certify import _certify
+from necc_casadi.cli.terminal import run
 from necc_casadi.errors import OutputError
-from necc_casadi.lyapunov import Form
-from necc_casadi.networks import MonotonePhi, Network
-from necc_casadi.target import target_from_model
-from necc_casadi.terminal import run
+from necc_casadi.lyapunov.networks import MonotonePhi, Network
+from necc_casadi.lyapunov.parameterization import Form
+from necc_casadi.model.target import target_from_model
 
 
 @pytest.fixture(scope="module")
@@ -328,7 +329,7 @@ def test_second_evaluator_encloses_the_exported_V(form, radius):
     design = make_design(
         trained_like_pendulum().loop.plant, ("pi/4", 0), form, form.initial(rng), [0.5]
     )
-    energy = Energy(Model(json.loads(design.text)), range(3))
+    energy = Energy(StoredDesign(json.loads(design.text)), range(3))
     for _ in range(3):
         middle = rng.uniform(-1, 1, 3)
         box = tuple((float(v - radius), float(v + radius)) for v in middle)
@@ -354,7 +355,7 @@ def test_the_gradient_at_a_point_has_as_many_digits_as_are_asked_for(form):
     design = make_design(
         trained_like_pendulum().loop.plant, ("pi/4", 0), form, form.initial(rng), [0.5]
     )
-    model = Model(json.loads(design.text))
+    model = StoredDesign(json.loads(design.text))
     exact = np.asarray(design.lyapunov.gradient(design.z_star), float).ravel()
     with flint.ctx.workprec(128):
         gradient = Energy(model, range(3)).gradient_at(model.target_balls())

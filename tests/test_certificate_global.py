@@ -9,14 +9,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from necc_casadi import Options, design, find_casimirs, judge, load_model
-from necc_casadi.certificate import certify
-from necc_casadi.certificate.ball_floors import bends_above
-from necc_casadi.certificate.ball_floors import layered_floor as floor_in_balls
-from necc_casadi.certificate.ball_networks import Net
-from necc_casadi.certificate.checker import check
-from necc_casadi.certificate.floors import layered_floor, scalar_floor
-from necc_casadi.networks import Network
-from necc_casadi.target import parse_target
+from necc_casadi.certificate.checker.arithmetic.hessian_floor import curvature_above
+from necc_casadi.certificate.checker.arithmetic.hessian_floor import hessian_floor as floor_in_balls
+from necc_casadi.certificate.checker.arithmetic.networks import Net
+from necc_casadi.certificate.checker.check import check
+from necc_casadi.certificate.prover.arithmetic.hessian_floor import (
+    hessian_floor,
+    scalar_hessian_floor,
+)
+from necc_casadi.certificate.prover.certify import certify
+from necc_casadi.lyapunov.networks import Network
+from necc_casadi.model.target import parse_target
 
 SHAPES = [(2, (9,)), (2, (7, 5)), (1, (6, 6)), (3, (4, 5, 3)), (1, ())]
 DEEP = {"hidden_k": (64, 64), "hidden_h": (32, 32)}
@@ -52,7 +55,7 @@ def test_curvature_stays_above_the_floor(activation, inputs, hidden, seed, quadr
     network = Network(inputs, hidden, activation, quadratic)
     weights = 2 * network.initial(rng)
     bends = hessians(network, weights, rng.normal(size=(60, inputs)) * 3)
-    floors = layered_floor(network, weights), floor_in_balls(in_balls(network, weights), activation)
+    floors = hessian_floor(network, weights), floor_in_balls(in_balls(network, weights), activation)
     middles = floors[0].mid, lower_ends(floors[1])
     assert np.allclose(*middles, rtol=1e-3, atol=1e-3)  # two ways to one bound
     for floor in middles:
@@ -62,7 +65,7 @@ def test_curvature_stays_above_the_floor(activation, inputs, hidden, seed, quadr
 def test_one_layer_is_bounded_as_sharply_as_one_neuron_allows():
     """f = tanh(v₁ + v₂) bends by at most 4/(3√3) along (1, 1)."""
     network = Network(2, (1,))
-    floor = layered_floor(network, np.array([1.0, 1.0, 0.0, 1.0, 0.0])).mid
+    floor = hessian_floor(network, np.array([1.0, 1.0, 0.0, 1.0, 0.0])).mid
     assert floor == pytest.approx(-4 / 27**0.5 * np.ones((2, 2)), rel=2e-4)
 
 
@@ -77,13 +80,13 @@ def test_the_bend_of_a_scalar_network_over_all_reals(hidden, seed, gain):
     kappa = network.quadratic_part(weights)[0][0]
     far = np.sinh(np.linspace(-8, 8, 2001))[:, None]
     lowest = min(0.0, hessians(network, weights, far).min() - kappa)
-    bend = scalar_floor(network, weights, 1e-2)
+    bend = scalar_hessian_floor(network, weights, 1e-2)
     assert lowest - 0.05 * abs(lowest) - 2e-2 <= bend <= lowest + 1e-9
     net = in_balls(network, weights)
-    assert bends_above(net, bend - 1e-2)
+    assert curvature_above(net, bend - 1e-2)
     if lowest < -1e-6:
-        assert not bends_above(net, 0.9 * lowest)
-    assert not bends_above(net, 0.0)
+        assert not curvature_above(net, 0.9 * lowest)
+    assert not curvature_above(net, 0.0)
 
 
 def test_a_first_layer_that_never_saturates_is_not_bounded():
@@ -91,9 +94,9 @@ def test_a_first_layer_that_never_saturates_is_not_bounded():
     network = Network(1, (2, 2), quadratic=True)
     weights = np.ones(network.size)
     weights[0] = 1e-30
-    assert scalar_floor(network, weights, 1e-2) is not None
+    assert scalar_hessian_floor(network, weights, 1e-2) is not None
     weights[:2] = 1e-4
-    assert scalar_floor(network, weights, 1e-2) > -0.1
+    assert scalar_hessian_floor(network, weights, 1e-2) > -0.1
 
 
 @pytest.fixture(scope="module")

@@ -9,8 +9,8 @@ import sympy as sp
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from necc_casadi.certificate.intervals import Interval, matmul, point, self_test
-from necc_casadi.certificate.jets import constant, coordinates, expression_jets
+from necc_casadi.certificate.prover.arithmetic.intervals import Interval, matmul, point, self_test
+from necc_casadi.certificate.prover.arithmetic.jets import constant, coordinates, expression_jets
 
 RANGES = {
     "sin": (-60, 60), "cos": (-60, 60), "tan": (-1.5, 1.5), "exp": (-50, 50),

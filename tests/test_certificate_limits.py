@@ -9,18 +9,18 @@ import pytest
 from certificate_designs import make_design, mechanical, quadratic_pendulum, trained_like_pendulum
 from scipy.optimize import minimize
 
-from necc_casadi.artifact import Design
-from necc_casadi.certificate import certify
-from necc_casadi.certificate.check_evidence import Evidence
-from necc_casadi.certificate.check_fields import Fields
-from necc_casadi.certificate.check_model import Model
-from necc_casadi.certificate.check_region import check_input_limits
-from necc_casadi.certificate.checker import check
+from necc_casadi.certificate.checker.check import check
+from necc_casadi.certificate.checker.evidence import Evidence
+from necc_casadi.certificate.checker.input_limits import check_input_limits
+from necc_casadi.certificate.checker.model import StoredDesign
+from necc_casadi.certificate.claims.fields import Fields
+from necc_casadi.certificate.prover.certify import certify
+from necc_casadi.designs.design import Design
 from necc_casadi.errors import OutputError
-from necc_casadi.loop import interconnect
-from necc_casadi.lyapunov import Form
-from necc_casadi.networks import MonotonePhi, Network
-from necc_casadi.simulation import simulate
+from necc_casadi.lyapunov.networks import MonotonePhi, Network
+from necc_casadi.lyapunov.parameterization import Form
+from necc_casadi.model.closed_loop import interconnect
+from necc_casadi.simulation.responses import simulate
 
 #: Together longer than the quick suite can afford; CI runs them.
 pytestmark = pytest.mark.slow
@@ -182,7 +182,7 @@ def rechecked(folder, change) -> bool:
     """The checker's word on the input limits alone, as if the region had just been proved."""
     data = json.loads((folder / "certificate.json").read_text(encoding="utf-8"))
     change(data)
-    model = Model(json.loads((folder / "design.json").read_text(encoding="utf-8")))
+    model = StoredDesign(json.loads((folder / "design.json").read_text(encoding="utf-8")))
     return check_input_limits(Evidence(model, Fields(data)), True).holds
 
 

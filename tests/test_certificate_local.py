@@ -18,16 +18,21 @@ from certificate_designs import (
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from necc_casadi.casimirs import Casimirs
-from necc_casadi.certificate import Certificate, certify
-from necc_casadi.certificate.definite import exactly_positive_definite, positive_definite
-from necc_casadi.certificate.enclosures import Potential
-from necc_casadi.certificate.intervals import Interval, point
+from necc_casadi.casimirs.casimirs import Casimirs
+from necc_casadi.certificate.claims.certificate import Certificate
+from necc_casadi.certificate.prover.arithmetic.definite import (
+    exactly_positive_definite,
+    positive_definite,
+)
+from necc_casadi.certificate.prover.arithmetic.intervals import Interval, point
+from necc_casadi.certificate.prover.arithmetic.potential import Potential
+from necc_casadi.certificate.prover.certify import certify
 from necc_casadi.errors import OutputError
-from necc_casadi.loop import ClosedLoop, default_controller, interconnect, make_controller
-from necc_casadi.lyapunov import Form
-from necc_casadi.networks import MonotonePhi, Network
-from necc_casadi.plant import make_plant
+from necc_casadi.lyapunov.networks import MonotonePhi, Network
+from necc_casadi.lyapunov.parameterization import Form
+from necc_casadi.model.closed_loop import ClosedLoop, interconnect
+from necc_casadi.model.controller import default_controller, make_controller
+from necc_casadi.model.plant import make_plant
 
 
 def holds(certificate: Certificate) -> dict[str, bool]:
@@ -150,7 +155,7 @@ def test_a_property_that_was_only_sampled_is_named():
     hidden = sp.Function("f")(q)  # a sign that nobody can decide
     odd = dataclasses.replace(plant, R=sp.ImmutableMatrix([[0, 0], [0, hidden]]))
     loop = ClosedLoop(odd, design.loop.controller)
-    from necc_casadi.certificate.decrease import prove_decrease
+    from necc_casadi.certificate.prover.decrease import prove_decrease
 
     claims = {c.name: c for c in prove_decrease(dataclasses.replace(design, loop=loop))}
     assert not claims["structure"].holds

@@ -8,19 +8,23 @@ import pytest
 import sympy as sp
 from certificate_designs import EXAMPLES, make_design, two_link_arm
 
-from necc_casadi.casimirs import Casimirs, find_casimirs
-from necc_casadi.certificate import certify, check_motion
-from necc_casadi.certificate.check_model import Model
-from necc_casadi.certificate.check_motion import invariant_points
-from necc_casadi.certificate.checker import check
-from necc_casadi.certificate.intervals import Interval
-from necc_casadi.certificate.motion import critical_points_are_invariant, loop_is_defined
-from necc_casadi.certificate.structure import quadratic_states
-from necc_casadi.loop import default_controller, interconnect
-from necc_casadi.lyapunov import Form
-from necc_casadi.model_file import load_model
-from necc_casadi.networks import Network
-from necc_casadi.plant import make_plant
+from necc_casadi.casimirs.casimirs import Casimirs
+from necc_casadi.casimirs.find import find_casimirs
+from necc_casadi.certificate.checker import invariant_sets as check_motion
+from necc_casadi.certificate.checker.check import check
+from necc_casadi.certificate.checker.model import StoredDesign
+from necc_casadi.certificate.prover.arithmetic.intervals import Interval
+from necc_casadi.certificate.prover.certify import certify
+from necc_casadi.certificate.prover.invariant_sets import (
+    largest_invariant_set_is_critical,
+    loop_is_defined,
+)
+from necc_casadi.lyapunov.networks import Network
+from necc_casadi.lyapunov.parameterization import Form
+from necc_casadi.model.closed_loop import interconnect
+from necc_casadi.model.controller import default_controller
+from necc_casadi.model.model_file import load_model
+from necc_casadi.model.plant import make_plant
 
 QUADRATIC = Form(Network(1, (), quadratic=True), Network(1, (), quadratic=True))
 
@@ -29,10 +33,12 @@ def both(design, half, center=None) -> bool:
     """What maker and checker say on a box around z̄, which must be the same."""
     center = design.z_star if center is None else center
     lo, hi = np.asarray(center - half, float), np.asarray(center + half, float)
-    resting = quadratic_states(design)
+    resting = design.momenta
     box = tuple((float(a), float(b)) for a, b in zip(lo, hi, strict=True))
-    made = critical_points_are_invariant(design, resting, Interval(lo, hi))
-    checked = invariant_points(Model(json.loads(design.text)), resting, box)
+    made = largest_invariant_set_is_critical(design, resting, Interval(lo, hi))
+    checked = check_motion.largest_invariant_set_is_critical(
+        StoredDesign(json.loads(design.text)), resting, box
+    )
     assert made == checked
     return made
 
@@ -98,16 +104,18 @@ def test_kinematics_of_a_body_are_covered_away_from_their_poles(half, covered):
     lo, hi = np.full(9, -half), np.full(9, half)
     box = tuple(zip(lo.tolist(), hi.tolist(), strict=True))
     assert loop_is_defined(design, Interval(lo, hi)) == covered  # 1/cos ξ2 has a pole at π/2
-    assert check_motion.loop_is_defined(Model(json.loads(design.text)), box) == covered
+    assert check_motion.loop_is_defined(StoredDesign(json.loads(design.text)), box) == covered
 
 
 def test_constant_structure_is_covered_on_the_whole_space():
     plant = two_link_arm()
     form = Form(Network(2, (), quadratic=True), Network(2, (), quadratic=True))
     design = make_design(plant, [0] * 4, form, 2 * [0, 0, 0, 1, 1, 0, 0], [0, 0])
-    assert critical_points_are_invariant(design, quadratic_states(design))
-    assert invariant_points(Model(json.loads(design.text)), quadratic_states(design), None)
-    assert not critical_points_are_invariant(geared(lambda q: 2 + q), (1,))
+    assert largest_invariant_set_is_critical(design, design.momenta)
+    assert check_motion.largest_invariant_set_is_critical(
+        StoredDesign(json.loads(design.text)), design.momenta, None
+    )
+    assert not largest_invariant_set_is_critical(geared(lambda q: 2 + q), (1,))
 
 
 DOMAINS = {True: (-0.9, 0.9), False: (-1.5, 1.5)}

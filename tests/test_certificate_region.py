@@ -7,16 +7,16 @@ import pytest
 import sympy as sp
 from certificate_designs import make_design, mechanical, quadratic_pendulum, trained_like_pendulum
 
-from necc_casadi.certificate import Certificate, certify
-from necc_casadi.certificate.definite import Truth
-from necc_casadi.certificate.enclosures import Potential
-from necc_casadi.certificate.everywhere import prove_everywhere
-from necc_casadi.certificate.grid import Grid, flood, make_grid
-from necc_casadi.certificate.intervals import Interval
-from necc_casadi.certificate.motion import critical_points_are_invariant
-from necc_casadi.certificate.structure import quadratic_states
-from necc_casadi.lyapunov import Form
-from necc_casadi.networks import Network
+from necc_casadi.arrays import Truth
+from necc_casadi.certificate.claims.certificate import Certificate
+from necc_casadi.certificate.prover.arithmetic.intervals import Interval
+from necc_casadi.certificate.prover.arithmetic.potential import Potential
+from necc_casadi.certificate.prover.certify import certify
+from necc_casadi.certificate.prover.global_stability import prove_global_stability
+from necc_casadi.certificate.prover.invariant_sets import largest_invariant_set_is_critical
+from necc_casadi.certificate.prover.region.grid import Grid, boxes_of, cells_met, flood, make_grid
+from necc_casadi.lyapunov.networks import Network
+from necc_casadi.lyapunov.parameterization import Form
 
 QUADRATIC = Form(Network(1, (), quadratic=True), Network(1, (), quadratic=True))
 
@@ -85,7 +85,7 @@ def test_a_periodic_orbit_inside_leaves_no_claim_of_convergence():
     certificate = certify(stable)
     assert certificate.stability == "stable"
     assert "converges" not in region_claim(certificate).statement
-    assert not critical_points_are_invariant(design, quadratic_states(design))
+    assert not largest_invariant_set_is_critical(design, design.momenta)
 
 
 def test_no_region_where_the_local_proof_fails():
@@ -102,7 +102,7 @@ def test_no_state_of_the_region_leaves_it_and_all_converge(hidden):
     region = certificate.region
     rng = np.random.default_rng(1)
     samples = design.z_bar + rng.uniform(-2, 2, (800, 3))
-    z = np.array([s for s in samples if region.contains(design, s)]).T
+    z = np.array([s for s in samples if region.contains(design.V, s)]).T
     assert z.shape[1] > 20
     field = design.lyapunov.vector_field.map(z.shape[1])
     V = design.lyapunov.V.map(z.shape[1])
@@ -124,7 +124,7 @@ def test_cells_outside_the_component_but_below_the_level_are_left_out():
     plant = mechanical(lambda q, p: p**2 / 2 + (q**2 - 1) ** 2 / 4, 1)
     weights = [0, 0, 1.0, 0.0, 0, 0, 1e-3, 1.0]
     design = make_design(plant, (1, 0), QUADRATIC, weights, [0.0])
-    reduced = Potential(design, quadratic_states(design))
+    reduced = Potential(design, design.momenta)
     grid = make_grid(np.array([-1.8, -1.0]), np.array([1.8, 1.0]), 64**2)
     at = design.z_bar[[0, 2]]
     found = flood(reduced, grid, Interval(at - 1e-9, at + 1e-9))
@@ -135,12 +135,12 @@ def test_cells_outside_the_component_but_below_the_level_are_left_out():
 
 def test_grid_cells_are_exact():
     grid = make_grid(np.array([-1.9, 0.3]), np.array([2.2, 1.7]), 1000)
-    boxes = grid.boxes(np.arange(grid.size))
+    boxes = boxes_of(grid, np.arange(grid.size))
     assert boxes.lo.min(0)[0] >= -1.9
     assert boxes.hi.max(0)[1] <= 1.7
     middle = (boxes.lo[7] + boxes.hi[7]) / 2
-    assert grid.locate(Interval(middle, middle)).tolist() == [7]
-    assert Grid((0,), (4,), (1.0,)).locate(Interval(np.array([3.5]), np.array([4.5]))).size == 0
+    assert cells_met(grid, Interval(middle, middle)).tolist() == [7]
+    assert cells_met(Grid((0,), (4,), (1.0,)), Interval(np.array([3.5]), np.array([4.5]))).size == 0
 
 
 def test_coupled_masses_in_more_dimensions_use_the_ellipsoid():
@@ -159,12 +159,12 @@ def test_coupled_masses_in_more_dimensions_use_the_ellipsoid():
     assert certificate.certified
     reach = region_claim(certificate).data
     assert all(reach[f"reach_{s}"] > 0.4 for s in ("q1", "q2", "q3", "xi1"))
-    assert certificate.region.contains(design, design.z_bar)
+    assert certificate.region.contains(design.V, design.z_bar)
 
 
 @pytest.mark.parametrize(("k", "h"), [(4, 4), (1.4, 4), (1.3, 4), (2.1, 2.1), (1.9, 2), (-2, -2)])
 def test_pendulum_is_global_exactly_where_theory_says(k, h):
     """∇²V ≻ 0 for every q iff (k − 1)(h − 1) > 1 and k > 1."""
     design = quadratic_pendulum(k, h)
-    missing = prove_everywhere(design, quadratic_states(design)).missing
+    missing = prove_global_stability(design, design.momenta).missing
     assert (missing is None) == ((k - 1) * (h - 1) > 1 and k > 1)

@@ -15,15 +15,14 @@ from certificate_designs import make_design, mechanical, pendulum
 from test_certificate_checker import altered, claim, verdicts
 from test_certificate_region import QUADRATIC, oscillator, region_claim
 
-from necc_casadi.artifact import Design
-from necc_casadi.certificate import Certificate, certify
-from necc_casadi.certificate import region as region_module
-from necc_casadi.certificate.enclosures import Potential
-from necc_casadi.certificate.grid import flood, make_grid
-from necc_casadi.certificate.intervals import Interval
-from necc_casadi.certificate.region import domain_of
-from necc_casadi.certificate.search import widest_grid
-from necc_casadi.certificate.structure import quadratic_states
+from necc_casadi.certificate.claims.certificate import Certificate
+from necc_casadi.certificate.prover.arithmetic.intervals import Interval
+from necc_casadi.certificate.prover.arithmetic.potential import Potential
+from necc_casadi.certificate.prover.certify import certify
+from necc_casadi.certificate.prover.region import region as region_module
+from necc_casadi.certificate.prover.region.grid import flood, make_grid
+from necc_casadi.certificate.prover.region.grid_search import widest_grid
+from necc_casadi.designs.design import Design
 
 #: Together longer than the quick suite can afford; CI runs them.
 pytestmark = pytest.mark.slow
@@ -57,7 +56,7 @@ def by_hand(design: Design, certificate: Certificate) -> dict[str, float]:
     z, active = np.zeros(design.loop.n), list(certificate.region.active)
     P = np.asarray(design.lyapunov.hessian(z), float)[np.ix_(active, active)]
     c, n, d = certificate.level - design.V(z), len(active) - 1, len(active)
-    domain = domain_of(design).of(active)
+    domain = design.domain.of(active)
     plant = float(np.prod((domain.hi - domain.lo)[:n]))
     shadow = np.linalg.inv(np.linalg.inv(P)[:n, :n])
     volume = ellipsoid(P, c)
@@ -145,8 +144,8 @@ def test_a_size_without_a_proof_is_rejected(made, tmp_path):
 
 def widest(design: Design):
     """The grid search over the states that are no momenta, without a ceiling."""
-    potential = Potential(design, quadratic_states(design))
-    domain = domain_of(design).of(potential.active)
+    potential = Potential(design, design.momenta)
+    domain = design.domain.of(potential.active)
     at = design.z_bar[list(potential.active)]
     z_bar = Interval(at - 1e-9, at + 1e-9)
     return potential, Interval(domain.lo, domain.hi), z_bar
@@ -233,13 +232,13 @@ def test_slice_and_shadow_against_sampled_states():
     weights = [0, 0, 4.0, 0.5 - slope / 4, 0, 0, 4.0, math.pi / 4 - 0.5 - slope / 4]
     design = make_design(plant, ("pi/4", 0), QUADRATIC, weights, [0.5])
     certificate = certify(design)
-    data, domain = region_claim(certificate).data, domain_of(design)
+    data, domain = region_claim(certificate).data, design.domain
     q = np.linspace(domain.lo[0], domain.hi[0], 301)
     xi = np.linspace(domain.lo[2], domain.hi[2], 301)
     region = certificate.region
 
     def inside(a, b):
-        return region.contains(design, (a, 0.0, b))
+        return region.contains(design.V, (a, 0.0, b))
 
     cut = np.mean([inside(a, 0.5) for a in q])
     shadow = np.mean([any(inside(a, b) for b in xi[::10]) for a in q[::4]])

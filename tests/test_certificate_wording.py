@@ -10,16 +10,19 @@ from certificate_designs import make_design, mechanical, quadratic_pendulum
 from hypothesis import given
 from hypothesis import strategies as st
 
-from necc_casadi.casimirs import Casimirs
-from necc_casadi.certificate import certify, search, statements
-from necc_casadi.certificate.check_fields import Fields, read_fields
-from necc_casadi.certificate.checker import check
-from necc_casadi.cli import _certify
-from necc_casadi.loop import default_controller, interconnect
-from necc_casadi.lyapunov import Form
-from necc_casadi.networks import Network
-from necc_casadi.plant import make_plant
-from necc_casadi.terminal import run
+from necc_casadi.casimirs.casimirs import Casimirs
+from necc_casadi.certificate.checker.check import check
+from necc_casadi.certificate.claims import statements
+from necc_casadi.certificate.claims.fields import Fields, read_fields
+from necc_casadi.certificate.prover.certify import certify
+from necc_casadi.certificate.prover.region import grid_search as search
+from necc_casadi.cli.certify import _certify
+from necc_casadi.cli.terminal import run
+from necc_casadi.lyapunov.networks import Network
+from necc_casadi.lyapunov.parameterization import Form
+from necc_casadi.model.closed_loop import interconnect
+from necc_casadi.model.controller import default_controller
+from necc_casadi.model.plant import make_plant
 
 #: Together longer than the quick suite can afford; CI runs them.
 pytestmark = pytest.mark.slow

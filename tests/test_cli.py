@@ -17,11 +17,12 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from test_model_file import BASE, FAULTS, FAULTS_AT_TARGET
 
-from necc_casadi import cli
-from necc_casadi.terminal import run
+from necc_casadi.cli.design import _design
+from necc_casadi.cli.simulate import _simulate
+from necc_casadi.cli.terminal import run
 
-DESIGN = "from necc_casadi.cli import design_command; design_command()"
-SIMULATE = "from necc_casadi.cli import simulate_command; simulate_command()"
+DESIGN = "from necc_casadi.cli.design import design_command; design_command()"
+SIMULATE = "from necc_casadi.cli.simulate import simulate_command; simulate_command()"
 BLOCKS = {"status", "plant", "controller", "target", "verdict", "design", "certificate", "files",
           "timings"}  # fmt: skip
 VERDICT = {"assignable", "reason", "stability", "a_max", "casimirs", "casimir_count",
@@ -48,11 +49,11 @@ def here(command, *arguments):
 
 
 def design(*arguments):
-    return here(cli._design, *arguments)
+    return here(_design, *arguments)
 
 
 def simulate(*arguments):
-    return here(cli._simulate, *arguments)
+    return here(_simulate, *arguments)
 
 
 def check_refusal(result, code, piece=""):
@@ -339,7 +340,7 @@ def test_an_empty_path_is_refused(tmp_path, monkeypatch, given):
 
 def test_a_fault_of_ours_is_one_json_object_too(monkeypatch):
     """Exit 1, the fault in words, where to look; never a traceback without --debug."""
-    from necc_casadi import pipeline
+    from necc_casadi.pipeline import run as pipeline
 
     def broken(*_):
         raise ZeroDivisionError("division\nby zero")

@@ -8,12 +8,13 @@ import pytest
 import sympy as sp
 from conftest import problem, solve
 
-from necc_casadi.convexity import least_kappa
-from necc_casadi.lyapunov import make_terms
-from necc_casadi.model_file import load_model
-from necc_casadi.networks import KAPPA_MIN
-from necc_casadi.report import loss
-from necc_casadi.synthesis import Options, natural_scales
+from necc_casadi.designs.error_bound import loss
+from necc_casadi.lyapunov.lyapunov import make_terms
+from necc_casadi.lyapunov.networks import KAPPA_MIN
+from necc_casadi.model.model_file import load_model
+from necc_casadi.synthesis.convexity import least_kappa
+from necc_casadi.synthesis.options import Options
+from necc_casadi.synthesis.units import natural_scales
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 TARGETS = {

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from conftest import problem, solve
 
-from necc_casadi.damping import choose_damping
-from necc_casadi.lyapunov import LyapunovFunction
-from necc_casadi.model_file import load_model
-from necc_casadi.synthesis import Options
+from necc_casadi.lyapunov.lyapunov import LyapunovFunction
+from necc_casadi.model.model_file import load_model
+from necc_casadi.synthesis.damping import choose_damping
+from necc_casadi.synthesis.options import Options
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 CASES = {

@@ -2,8 +2,8 @@ import pytest
 import sympy as sp
 from symbolic_plants import EXAMPLES, best_hessian_eigenvalue, load
 
-from necc_casadi.assignability import judge
-from necc_casadi.casimirs import find_casimirs
+from necc_casadi.casimirs.find import find_casimirs
+from necc_casadi.verdict.judge import judge
 
 VERDICTS = {
     "damped_pendulum": ("ok", "asymptotic", 1),

@@ -20,10 +20,11 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from necc_casadi.errors import OptionError, OutputError
-from necc_casadi.export import compile_controller, export_c, load_controller
-from necc_casadi.export.sampling import ORDERS
-from necc_casadi.lyapunov import Form
-from necc_casadi.networks import MonotonePhi, Network
+from necc_casadi.export.c_project import export_c
+from necc_casadi.export.compiled import compile_controller, load_controller
+from necc_casadi.export.sampled_loop import ORDERS
+from necc_casadi.lyapunov.networks import MonotonePhi, Network
+from necc_casadi.lyapunov.parameterization import Form
 
 REJECTED = 2
 

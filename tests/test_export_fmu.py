@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from export_cases import COMPILERS, STRICT, design, pendulum_loop
 
-from necc_casadi.export import export_fmu
+from necc_casadi.export.fmu import export_fmu
 from necc_casadi.export.vectors import reference_step
-from necc_casadi.lyapunov import Form
-from necc_casadi.networks import Network
+from necc_casadi.lyapunov.networks import Network
+from necc_casadi.lyapunov.parameterization import Form
 
 FMPY = importlib.util.find_spec("fmpy") is not None
 STEPS, DT = 200, 0.01

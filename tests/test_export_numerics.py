@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 from export_cases import COMPILERS, STRICT, arm_loop, design, paper_design, pendulum_loop
 
-from necc_casadi.export import compile_controller, export_c
-from necc_casadi.export.leaves import Real
-from necc_casadi.export.networks_c import LANES
+from necc_casadi.export.c_project import export_c
+from necc_casadi.export.casadi2c import Real
+from necc_casadi.export.compiled import compile_controller
+from necc_casadi.export.networks import LANES
 from necc_casadi.export.templating import fill
-from necc_casadi.lyapunov import Form
-from necc_casadi.networks import MonotonePhi, Network
+from necc_casadi.lyapunov.networks import MonotonePhi, Network
+from necc_casadi.lyapunov.parameterization import Form
 
 SATURATED, REJECTED, NOT_CONVERGED = 1, 2, 4
 

@@ -10,9 +10,11 @@ import numpy as np
 import pytest
 from export_cases import COMPILERS, design, paper_design, pendulum_loop
 
-from necc_casadi.export import export_c, export_mex, load_controller
-from necc_casadi.lyapunov import Form
-from necc_casadi.networks import MonotonePhi, Network
+from necc_casadi.export.c_project import export_c
+from necc_casadi.export.compiled import load_controller
+from necc_casadi.export.matlab import export_mex
+from necc_casadi.lyapunov.networks import MonotonePhi, Network
+from necc_casadi.lyapunov.parameterization import Form
 
 BENCHMARK = Path(__file__).parents[1] / "benchmarks" / "export.py"
 ARM = all(shutil.which(tool) for tool in ("arm-none-eabi-gcc", "qemu-system-arm"))

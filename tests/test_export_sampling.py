@@ -4,15 +4,15 @@ import numpy as np
 import pytest
 from export_cases import arm_loop, design, pendulum_loop
 
-from necc_casadi.export.sampling import (
+from necc_casadi.export.sampled_loop import (
     ORDERS,
     analyse_sampling,
     largest_stable_time,
     spectral_radius,
 )
 from necc_casadi.export.vectors import reference_step
-from necc_casadi.lyapunov import Form
-from necc_casadi.networks import Network
+from necc_casadi.lyapunov.networks import Network
+from necc_casadi.lyapunov.parameterization import Form
 
 
 def quadratic_pendulum(seed=0):

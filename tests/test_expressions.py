@@ -8,15 +8,15 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from necc_casadi.errors import OptionError
-from necc_casadi.expressions import (
+from necc_casadi.symbolic.expressions import (
     FUNCTIONS,
     exact,
-    identifiers,
     non_smooth_part,
     parse,
     parse_number,
     to_text,
 )
+from necc_casadi.symbolic.identifiers import identifiers
 
 q, p = sp.symbols("q p", real=True)
 NAMES = {"q": q, "p": p}

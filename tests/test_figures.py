@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
-from necc_casadi import figures
-from necc_casadi.certificate import certify
-from necc_casadi.simulation import random_states, simulate
-from necc_casadi.slices import telling_pair
+from necc_casadi.certificate.prover.certify import certify
+from necc_casadi.report import figures
+from necc_casadi.report.slices import telling_pair
+from necc_casadi.simulation.responses import random_states, simulate
 
 
 @pytest.fixture(scope="module")

@@ -15,9 +15,9 @@ from conftest import PENDULUM
 from test_cli import design
 from test_model_file import BASE
 
-from necc_casadi.artifact import Design
-from necc_casadi.certificate import certify
-from necc_casadi.report import loss
+from necc_casadi.certificate.prover.certify import certify
+from necc_casadi.designs.design import Design
+from necc_casadi.designs.error_bound import loss
 
 #: Together longer than the quick suite can afford; CI runs them.
 pytestmark = pytest.mark.slow

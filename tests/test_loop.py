@@ -5,7 +5,8 @@ import pytest
 import sympy as sp
 
 from necc_casadi.errors import ModelError
-from necc_casadi.loop import default_controller, interconnect, make_controller
+from necc_casadi.model.closed_loop import interconnect
+from necc_casadi.model.controller import default_controller, make_controller
 
 
 def test_interconnection_is_what_substitution_gives(crane):

@@ -7,7 +7,7 @@ import pytest
 import reference
 import sympy as sp
 
-from necc_casadi.lyapunov import LyapunovFunction
+from necc_casadi.lyapunov.lyapunov import LyapunovFunction
 
 
 def test_V_is_phi_of_H_plus_Hc_and_C(any_design, points):

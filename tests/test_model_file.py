@@ -9,7 +9,7 @@ import sympy as sp
 from conftest import PENDULUM
 
 from necc_casadi.errors import InputError, ModelError, OptionError
-from necc_casadi.model_file import damping_matrix, load_model
+from necc_casadi.model.model_file import damping_matrix, load_model
 
 BASE = """
 import sympy as sp
@@ -113,7 +113,7 @@ def model(tmp_path, text):
 
 @pytest.mark.parametrize(("code", "text", "piece"), FAULTS, ids=IDS)
 def test_each_fault_has_its_code_and_two_lines(tmp_path, code, text, piece):
-    from necc_casadi.casimirs import find_casimirs
+    from necc_casadi.casimirs.find import find_casimirs
 
     def read():
         made = load_model(model(tmp_path, text))

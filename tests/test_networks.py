@@ -7,7 +7,7 @@ import reference
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from necc_casadi.networks import ACTIVATIONS, MonotonePhi, Network
+from necc_casadi.lyapunov.networks import ACTIVATIONS, MonotonePhi, Network
 
 networks = st.builds(
     Network,

@@ -7,11 +7,15 @@ import sympy as sp
 from certificate_designs import EXAMPLES
 
 from necc_casadi import Options, design, find_casimirs, judge, load_model
-from necc_casadi.casimirs import find_casimirs as found_for
-from necc_casadi.lyapunov import make_terms
-from necc_casadi.neutral import NEUTRAL_STIFFNESS, best_coordinates, is_neutral
-from necc_casadi.synthesis import natural_scales
-from necc_casadi.target import target_from_model
+from necc_casadi.casimirs.find import find_casimirs as found_for
+from necc_casadi.lyapunov.lyapunov import make_terms
+from necc_casadi.model.target import target_from_model
+from necc_casadi.synthesis.potential_free import (
+    POTENTIAL_FREE_STIFFNESS,
+    best_coordinates,
+    is_potential_free,
+)
+from necc_casadi.synthesis.units import natural_scales
 
 
 @pytest.fixture(scope="module")
@@ -32,10 +36,10 @@ def worth(terms, x, xi) -> float:
 
 def test_a_satellite_is_neutral_and_a_pendulum_is_not(satellite):
     loop, casimirs, _ = satellite
-    assert is_neutral(loop, casimirs)
+    assert is_potential_free(loop, casimirs)
     for name in ("pendulum", "cart_pole"):  # the latter's Casimir is linear
         loop = load_model(EXAMPLES / f"{name}.py").loop
-        assert not is_neutral(loop, found_for(loop))
+        assert not is_potential_free(loop, found_for(loop))
 
 
 def test_the_controller_rests_where_the_casimirs_are_good_coordinates(satellite):
@@ -69,7 +73,7 @@ def test_k_is_stiffer_than_hc_by_the_reference(satellite):
     weights = made.form.split(made.weights)
     hc, k = (net.quadratic_part(w)[0] for net, w in zip(made.form.networks, weights, strict=True))
     assert k.min() > hc.max()
-    assert hc.min() > 0.5 * NEUTRAL_STIFFNESS[0] * 0.7
+    assert hc.min() > 0.5 * POTENTIAL_FREE_STIFFNESS[0] * 0.7
     assert max(start.loss for start in made.starts) < 1e-9
 
 

@@ -5,9 +5,9 @@ import pytest
 import sympy as sp
 from conftest import solve
 
-from necc_casadi.report import loss
-from necc_casadi.simulation import simulate
-from necc_casadi.synthesis import paper_options
+from necc_casadi.designs.error_bound import loss
+from necc_casadi.simulation.responses import simulate
+from necc_casadi.synthesis.options import paper_options
 
 
 def test_structure_of_section_iv(pendulum):

@@ -10,9 +10,9 @@ import pytest
 from conftest import PENDULUM
 from test_cli import check_refusal, design, here
 
-from necc_casadi import cli
-from necc_casadi.artifact import Design
-from necc_casadi.model_file import load_model
+from necc_casadi.cli.certify import _certify
+from necc_casadi.designs.design import Design
+from necc_casadi.model.model_file import load_model
 
 EXAMPLES = PENDULUM.parent
 SMALL = ("--hidden-k", "8", "--hidden-h", "6")
@@ -191,7 +191,7 @@ def test_the_summary_of_a_large_plant_is_short(tmp_path):
     code, text, _ = design(path, "--no-plots", *SMALL, "--out", tmp_path / "o")
     assert code == 0, text
     assert "globally asymptotically stable" in text
-    assert here(cli._certify, tmp_path / "o")[0] == 0
+    assert here(_certify, tmp_path / "o")[0] == 0
     assert len(text.splitlines()) < 45
     assert max(map(len, text.splitlines())) <= 110
     assert "zeros not listed" in text

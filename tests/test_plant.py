@@ -8,7 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from necc_casadi.errors import ModelError
-from necc_casadi.plant import gradient, make_plant
+from necc_casadi.model.plant import make_plant
+from necc_casadi.symbolic.derivatives import gradient
 
 q, p = sp.symbols("q p", real=True)
 CANONICAL = sp.Matrix([[0, 1], [-1, 0]])

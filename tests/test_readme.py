@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from necc_casadi.model_file import load_model
+from necc_casadi.model.model_file import load_model
 
 ROOT = Path(__file__).parent.parent
 README = (ROOT / "README.md").read_text(encoding="utf-8")

@@ -6,8 +6,8 @@ import numpy as np
 import sympy as sp
 
 from necc_casadi import Options, certify, design, find_casimirs, judge, load_model
-from necc_casadi.simulation import simulate
-from necc_casadi.target import parse_target
+from necc_casadi.model.target import parse_target
+from necc_casadi.simulation.responses import simulate
 
 MODEL = """
 import sympy as sp

@@ -15,21 +15,24 @@ from test_cli import DESIGN, check_refusal, design, process
 from test_model_file import BASE
 from test_training import build
 
-from necc_casadi import shaping, training
-from necc_casadi.certificate import certify
-from necc_casadi.certificate.checker import check
-from necc_casadi.certificate.region import domain_of
+from necc_casadi.certificate.checker.check import check
+from necc_casadi.certificate.prover.certify import certify
+from necc_casadi.designs.error_bound import loss
 from necc_casadi.errors import OptionError
-from necc_casadi.lifting import Lifting, Scales
-from necc_casadi.lyapunov import Form, make_terms
-from necc_casadi.model_file import load_model
-from necc_casadi.networks import Network
-from necc_casadi.report import loss
-from necc_casadi.shaping import Box, make_shaping, moving_weights, quasi_random
-from necc_casadi.synthesis import Options, paper_options
+from necc_casadi.lyapunov.lyapunov import make_terms
+from necc_casadi.lyapunov.networks import Network
+from necc_casadi.lyapunov.parameterization import Form
+from necc_casadi.model.model_file import load_model
+from necc_casadi.model.samples import quasi_random
+from necc_casadi.synthesis import shaping, training
+from necc_casadi.synthesis.lifting import Lifting
+from necc_casadi.synthesis.options import Options, paper_options
+from necc_casadi.synthesis.programs import hard_program
+from necc_casadi.synthesis.shaping import SampleBox, make_shaping, moving_weights
+from necc_casadi.synthesis.units import Scales
 
 #: The pendulum's box ±2 around z* = (q*, 0, ξ*); the momentum rests, its ceiling is p²/2 at 2.
-BOX = Box(
+BOX = SampleBox(
     lo=np.full(3, -2.0),
     hi=np.full(3, 2.0),
     active=(0, 2),
@@ -236,9 +239,9 @@ def test_derivatives_that_are_written_by_hand(pendulum, kind):
     terms = make_terms(pendulum.loop, pendulum.casimirs)
     x, shaped = np.array([np.pi / 4, 0.0]), make(kind)
     lifting = Lifting(terms, form, x, Scales(np.ones(3), 1.0), np.zeros(1))
-    program = training._hard(lifting, 0.4, None)
-    bounds = (0.05, (0.055, 0.055))
-    solver = training._Solver(lifting, program, 0.4, bounds, 1e-2, None, shaped, False)
+    program = hard_program(lifting, 0.4, None)
+    anchor = training.Anchor(np.zeros(1))
+    solver = training._Solver(lifting, program, 0.4, anchor, shaped, False)
     nlp, n = solver.solver, solver.n_small
     rng = np.random.default_rng(1)
     w0 = form.initial(rng)
@@ -289,7 +292,7 @@ def test_certified_share_grows(shares):
 def test_level_is_that_of_the_boundary(shares):
     """The proved level lies below V on the whole boundary, and close to its least value there."""
     made, certificate = shares["level"]
-    V, domain, z = reference.lyapunov(made), domain_of(made), made.z_star
+    V, domain, z = reference.lyapunov(made), made.domain, made.z_star
     side = np.linspace(-2, 2, 161)
     edge = [
         V(np.array([z[0] + a, 0.0, z[2] + b]))

@@ -7,17 +7,10 @@ import pytest
 import reference
 from certificate_designs import make_design, mechanical
 
-from necc_casadi.lyapunov import Form
-from necc_casadi.networks import Network
-from necc_casadi.simulation import (
-    Trajectory,
-    converging,
-    default_horizon,
-    domain_box,
-    random_states,
-    simulate,
-    simulated_share,
-)
+from necc_casadi.lyapunov.networks import Network
+from necc_casadi.lyapunov.parameterization import Form
+from necc_casadi.simulation.convergence import converging, simulated_share
+from necc_casadi.simulation.responses import Trajectory, default_horizon, random_states, simulate
 
 
 @pytest.mark.parametrize("name", ["default", "paper", "beta-sum", "neural"])
@@ -106,7 +99,7 @@ def test_csv_reads_back_bit_for_bit(default_design):
 
 
 def test_random_states_lie_in_the_middle_of_the_domain(any_design):
-    lo, hi = domain_box(any_design)
+    lo, hi = any_design.domain.lo, any_design.domain.hi
     n = any_design.loop.plant.n
     states = np.array(random_states(any_design, 50, seed=1))
     assert states.shape == (50, n)
@@ -117,7 +110,7 @@ def test_random_states_lie_in_the_middle_of_the_domain(any_design):
 
 def test_many_starts_at_once_agree_with_responses_one_by_one(default_design, paper_design):
     for made in (default_design, paper_design):
-        lo, hi = domain_box(made)
+        lo, hi = made.domain.lo, made.domain.hi
         starts = np.random.default_rng(2).uniform(lo, hi, (12, lo.size))
         found = converging(made, starts)
         horizon = 4 * default_horizon(made)

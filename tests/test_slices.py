@@ -6,10 +6,9 @@ from conftest import problem, solve
 from matplotlib.path import Path as Curve
 from scipy.optimize import minimize
 
-from necc_casadi.certificate import certify
-from necc_casadi.model_file import load_model
-from necc_casadi.simulation import simulate
-from necc_casadi.slices import (
+from necc_casadi.certificate.prover.certify import certify
+from necc_casadi.model.model_file import load_model
+from necc_casadi.report.slices import (
     domain_window,
     extent,
     shadow,
@@ -17,6 +16,7 @@ from necc_casadi.slices import (
     slice_values,
     telling_pair,
 )
+from necc_casadi.simulation.responses import simulate
 
 #: Hanging pole: one shaped position, one that is not, two momenta.
 CART = """
@@ -98,7 +98,7 @@ def test_the_shadow_holds_the_proved_region(region):
     middle = made.z_bar[list(window.pair)]
     rng = np.random.default_rng(0)
     states = made.z_star + rng.uniform(-2, 2, (3000, 3))
-    inside = np.array([z for z in states if certificate.region.contains(made, z)])
+    inside = np.array([z for z in states if certificate.region.contains(made.V, z)])
     assert len(inside) > 200
     for points in (inside[:, list(window.pair)], slice_boundary(made, certificate.level, window)):
         assert outline.contains_points(middle + 0.98 * (points - middle)).all()
@@ -113,7 +113,7 @@ def test_the_extent_bounds_the_region_and_the_shadow(region):
         np.testing.assert_allclose(ends[state], [edge[:, k].min(), edge[:, k].max()], rtol=0.03)
     rng = np.random.default_rng(1)
     states = made.z_star + rng.uniform(-2, 2, (2000, 3))
-    inside = np.array([z for z in states if certificate.region.contains(made, z)])
+    inside = np.array([z for z in states if certificate.region.contains(made.V, z)])
     middle = made.z_bar
     assert (middle + 0.98 * (inside - middle) >= ends[:, 0]).all()
     assert (middle + 0.98 * (inside - middle) <= ends[:, 1]).all()

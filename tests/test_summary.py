@@ -8,10 +8,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from necc_casadi.certificate import certify
-from necc_casadi.report import Findings, attracts, region_claim, to_json
-from necc_casadi.summary import rounded_down, summary
-from necc_casadi.terminal import columns
+from necc_casadi.certificate.prover.certify import certify
+from necc_casadi.cli.terminal import columns
+from necc_casadi.report.findings import Findings, attracts, region_claim
+from necc_casadi.report.to_json import to_json
+from necc_casadi.report.to_text import rounded_down, summary
 
 
 @pytest.fixture(scope="module")

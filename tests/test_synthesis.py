@@ -7,10 +7,11 @@ import pytest
 from conftest import problem, solve
 from test_model_file import BASE
 
-from necc_casadi.lyapunov import LyapunovFunction
-from necc_casadi.model_file import load_model
-from necc_casadi.report import loss
-from necc_casadi.synthesis import Options, natural_scales, paper_options
+from necc_casadi.designs.error_bound import loss
+from necc_casadi.lyapunov.lyapunov import LyapunovFunction
+from necc_casadi.model.model_file import load_model
+from necc_casadi.synthesis.options import Options, paper_options
+from necc_casadi.synthesis.units import natural_scales
 
 
 def abscissa(made, D, Dc) -> float:

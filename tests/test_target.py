@@ -7,8 +7,8 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from necc_casadi.errors import TargetError
-from necc_casadi.plant import make_plant
-from necc_casadi.target import (
+from necc_casadi.model.plant import make_plant
+from necc_casadi.model.target import (
     free_coordinates,
     nearest_equilibrium,
     parse_target,

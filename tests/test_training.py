@@ -6,11 +6,13 @@ import reference
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from necc_casadi.lifting import Lifting, Scales, _jet_function
-from necc_casadi.lyapunov import Form, make_terms
-from necc_casadi.networks import MonotonePhi, Network
-from necc_casadi.outcome import STATUS, Start
-from necc_casadi.training import SOLVED, train
+from necc_casadi.designs.outcome import STATUS, Start
+from necc_casadi.lyapunov.lyapunov import make_terms
+from necc_casadi.lyapunov.networks import MonotonePhi, Network
+from necc_casadi.lyapunov.parameterization import Form
+from necc_casadi.synthesis.lifting import Lifting, _jet_function
+from necc_casadi.synthesis.training import SOLVED, train
+from necc_casadi.synthesis.units import Scales
 
 PLAIN = Scales(np.ones(3), 1.0)
 PAPER = Form(Network(1, (32,)), Network(1, (64,)))

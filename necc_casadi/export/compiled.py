@@ -15,12 +15,12 @@ from typing import Any
 
 import numpy as np
 
-from necc_casadi.artifact import Design
+from necc_casadi.arrays import Vector
+from necc_casadi.designs.design import Design
 from necc_casadi.errors import OutputError
 from necc_casadi.export.controller import controller
 from necc_casadi.export.header import header
 from necc_casadi.export.source import Source
-from necc_casadi.networks import Vector
 
 __all__ = [
     "CompiledController",
@@ -29,6 +29,7 @@ __all__ = [
     "find_compiler",
     "load_controller",
 ]
+
 
 _REMEDY = "Install gcc or clang, or name one in the environment variable CC."
 

@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import casadi as ca
 
-from necc_casadi.export.leaves import leaf
-from necc_casadi.export.networks_c import LANES, CNetwork, c_network, kernels, width
+from necc_casadi.export.casadi2c import c_function
+from necc_casadi.export.networks import LANES, CNetwork, c_network, kernels, width
 from necc_casadi.export.source import Source
 from necc_casadi.export.templating import fill, indent
 
@@ -65,11 +65,11 @@ def _leaves(source: Source) -> list[str]:
     xi_dot = terms.Fc(xi) @ grad_hc + Gc @ (G.T @ grad_H + v_c)
     slopes = {"grad_hc": grad_hc, "gamma": gamma, "phi_1": phi_1}
     arguments = [("x", x), ("xi", xi), *((name, slopes[name]) for name in _slopes(source))]
-    leaves = [leaf("casimirs", arguments[:2], [("c", c)], real)]
+    leaves = [c_function("casimirs", arguments[:2], [("c", c)], real)]
     if source.neural_phi:
-        leaves.append(leaf("hamiltonian", arguments[:1], [("H", terms.H(x))], real))
-    leaves.append(leaf("control_law", arguments, [("u", u), ("xidot", xi_dot)], real))
-    leaves.append(leaf("energy_slope", arguments, [("gradient", V_xi)], real))
+        leaves.append(c_function("hamiltonian", arguments[:1], [("H", terms.H(x))], real))
+    leaves.append(c_function("control_law", arguments, [("u", u), ("xidot", xi_dot)], real))
+    leaves.append(c_function("energy_slope", arguments, [("gradient", V_xi)], real))
     return leaves
 
 

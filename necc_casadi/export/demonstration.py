@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import casadi as ca
 
-from necc_casadi.export.leaves import leaf
+from necc_casadi.arrays import Vector
+from necc_casadi.export.casadi2c import c_function
 from necc_casadi.export.source import Source
 from necc_casadi.export.templating import fill
-from necc_casadi.expressions import identifiers
-from necc_casadi.networks import Vector
-from necc_casadi.simulation import domain_box
+from necc_casadi.symbolic.identifiers import identifiers
 
 __all__ = ["demonstration"]
+
 
 _STEPS = 2000
 
@@ -26,7 +26,7 @@ def demonstration(source: Source) -> str:
         "main.c",
         sample_time=f"{source.step_time:.6g}",
         sample_literal=real.literal(source.step_time),
-        plant=leaf("plant", [("x", x), ("u", u)], [("xdot", x_dot)], real),
+        plant=c_function("plant", [("x", x), ("u", u)], [("xdot", x_dot)], real),
         rk4_fractions=real.literals((0, 0.5, 0.5, 1)),
         rk4_weights=real.literals((1, 2, 2, 1)),
         six=real.literal(6),
@@ -39,5 +39,5 @@ def demonstration(source: Source) -> str:
 
 def _start(source: Source) -> Vector:
     """A quarter of the way from the target to the lower end of the domain, (n,)."""
-    lo, _ = domain_box(source.design)
+    lo = source.design.domain.lo
     return (0.75 * source.design.z_star + 0.25 * lo)[: source.n]

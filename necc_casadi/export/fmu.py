@@ -12,17 +12,21 @@ from collections.abc import Sequence
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
-from necc_casadi.artifact import Design, write_text
+from necc_casadi.designs.design import Design
 from necc_casadi.export.compiled import compile_shared, find_compiler
 from necc_casadi.export.controller import controller
 from necc_casadi.export.header import header
 from necc_casadi.export.source import Source
 from necc_casadi.export.templating import fill
-from necc_casadi.expressions import identifiers
+from necc_casadi.files import write_text
+from necc_casadi.symbolic.identifiers import identifiers
 
 __all__ = ["export_fmu"]
 
+
 _SOURCES = ("necc.c", "fmu.c")
+
+
 _EPOCH = (2000, 1, 1, 0, 0, 0)  # the same design gives the same archive
 
 

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import textwrap
 
-from necc_casadi.export.sampling import analyse_sampling
+from necc_casadi.export.sampled_loop import analyse_sampling
 from necc_casadi.export.source import Source
 from necc_casadi.export.templating import comment, fill
 
 __all__ = ["header"]
+
 
 _METHODS = {
     "euler": "Euler's method",

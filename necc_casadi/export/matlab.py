@@ -8,7 +8,8 @@ from pathlib import Path
 
 import casadi as ca
 
-from necc_casadi.artifact import Design, write_text
+from necc_casadi.designs.design import Design
+from necc_casadi.files import write_text
 
 __all__ = ["export_mex"]
 

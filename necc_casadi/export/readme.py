@@ -18,6 +18,7 @@ from necc_casadi.export.templating import fill
 
 __all__ = ["Measurement", "measure", "readme"]
 
+
 _FLAGS = (("-O2",), ("-O3", "-march=native"))
 
 

@@ -7,17 +7,17 @@ from functools import cached_property
 
 import numpy as np
 
-from necc_casadi.artifact import Design
+from necc_casadi.designs.design import Design
 from necc_casadi.errors import OptionError
-from necc_casadi.export.leaves import Real
-from necc_casadi.export.sampling import ORDERS, largest_stable_time
+from necc_casadi.export.casadi2c import Real
+from necc_casadi.export.sampled_loop import ORDERS, largest_stable_time
 
 __all__ = ["Source"]
 
 
 @dataclass(frozen=True, eq=False)
 class Source:
-    """A design with the options of :func:`necc_casadi.export.export_c`, checked.
+    """A design with the options of :func:`necc_casadi.export.c_project.export_c`, checked.
 
     Raises
     ------

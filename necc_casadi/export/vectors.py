@@ -7,18 +7,22 @@ from collections.abc import Sequence
 import casadi as ca
 import numpy as np
 
-from necc_casadi.artifact import Design
-from necc_casadi.export.leaves import Real
+from necc_casadi.arrays import Vector
+from necc_casadi.designs.design import Design
+from necc_casadi.export.casadi2c import Real
 from necc_casadi.export.source import Source
 from necc_casadi.export.templating import fill
-from necc_casadi.networks import Vector
-from necc_casadi.simulation import domain_box
 
 __all__ = ["TOLERANCE", "reference_step", "vector_table"]
 
+
 #: Error that a vector allows, relative to max(1, |expected|).
 TOLERANCE = {"double": 1e-12, "float": 1e-4}
+
+
 _COUNT = 16
+
+
 _SATURATED = 1
 
 
@@ -42,7 +46,7 @@ def vector_table(source: Source) -> str:
     """``test_vectors.h``: z*, then points of the middle half of the domain."""
     design, real, n = source.design, source.number, source.n
     rng = np.random.default_rng(0)
-    lo, hi = domain_box(design)
+    lo, hi = design.domain.lo, design.domain.hi
     step = reference_step(design, source.integrator)
     rows = []
     for index in range(_COUNT):

@@ -1,0 +1,1 @@
+"""Casimirs of the closed loop (eq. CasimirCondition, CasimirConditionFunctionCase)."""

@@ -1,0 +1,36 @@
+"""Casimirs: a value that says which functions were found, how, and how many exist."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import sympy as sp
+
+__all__ = ["Casimirs"]
+
+
+@dataclass(frozen=True, eq=False)
+class Casimirs:
+    """Functionally independent closed forms with ∇Cᵀ(Jcl − Rcl) = 0, each one proved."""
+
+    functions: tuple[sp.Expr, ...]  # (r,) of z
+    kernel_rank: int  # generic rank of ker Jcl ∩ ker Rcl
+    generic_count: int  # how many exist (theory: involutive closure)
+    origins: tuple[str, ...] = ()  # (r,) how each was found
+    count_proved: bool = True  # that no more than `generic_count` exist
+
+    @property
+    def complete(self) -> bool:
+        """Whether every Casimir that exists is a function of the closed forms in hand."""
+        return len(self.functions) == self.generic_count
+
+    @property
+    def note(self) -> str | None:
+        """What is missing and how to supply it; None where nothing is."""
+        missing = self.generic_count - len(self.functions)
+        if missing <= 0:
+            return None
+        return (
+            f"{self.generic_count} Casimirs exist, {len(self.functions)} found in closed form. "
+            "Write the others into the model file: casimirs = [...]; each is proved before use."
+        )

@@ -1,0 +1,116 @@
+"""Casimirs of the closed loop: ker Jcl ∩ ker Rcl to closed forms, counted and proved.
+
+eq. CasimirCondition: ∇Cᵀ(Jcl − Rcl) = 0 for every z; because Rcl ⪰ 0 this is
+∇C ∈ ker Jcl ∩ ker Rcl.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import sympy as sp
+from sympy.functions.elementary.trigonometric import TrigonometricFunction
+
+from necc_casadi.casimirs.ansatz import CasimirSearch, find_closed_forms
+from necc_casadi.casimirs.casimirs import Casimirs
+from necc_casadi.casimirs.condition import independent, rates
+from necc_casadi.casimirs.involution import count_casimirs
+from necc_casadi.errors import ModelError
+from necc_casadi.model.closed_loop import ClosedLoop
+from necc_casadi.model.entries import scalar_entry
+from necc_casadi.symbolic.linear_algebra import generic_rank, kernel
+from necc_casadi.symbolic.zero import is_zero
+
+__all__ = ["find_casimirs"]
+
+
+def find_casimirs(
+    loop: ClosedLoop,
+    supplied: Sequence[sp.Expr] = (),
+    target: Mapping[sp.Symbol, sp.Expr] | None = None,
+) -> Casimirs:
+    """Count the Casimirs of `loop` and find closed forms (eq. CasimirCondition).
+
+    Parameters
+    ----------
+    supplied
+        Casimirs that the user knows; each is proved, and taken before others are sought.
+    target
+        Plant states at the target; forms without poles there are preferred.
+
+    Raises
+    ------
+    ModelError
+        ``casimir_disproved`` for a supplied function that is not a Casimir, or that cannot be
+        proved to be one.
+    """
+    M = loop.M
+    given = [_proved(loop, c, i) for i, c in enumerate(supplied)]
+    kernel_rank = loop.n - generic_rank(sp.Matrix(M))
+    if not M.free_symbols:
+        return _constant(loop, kernel_rank)
+    search = CasimirSearch(loop, kernel_rank, dict(target or {}))
+    return _counted(loop, search, given, kernel_rank)
+
+
+def _constant(loop: ClosedLoop, kernel_rank: int) -> Casimirs:
+    """All Casimirs of a constant structure: vᵀz for a basis v of the kernel.
+
+    Every other one, so every supplied one, is a function of these.
+    """
+    basis = kernel(sp.Matrix(loop.M).T)
+    functions = tuple(linear_form(basis[:, i], loop.z) for i in range(basis.cols))
+    return Casimirs(functions, kernel_rank, kernel_rank, ("constant kernel",) * basis.cols)
+
+
+def linear_form(v: sp.MatrixBase, z: Sequence[sp.Symbol]) -> sp.Expr:
+    """vᵀz."""
+    return sp.Add(*[v[i] * s for i, s in enumerate(z) if v[i] != 0])
+
+
+def _counted(
+    loop: ClosedLoop, search: CasimirSearch, given: Sequence[sp.Expr], kernel_rank: int
+) -> Casimirs:
+    """Constant sub-kernel and supplied ones, then the count, then closed forms up to the count."""
+    forms: list[tuple[sp.Expr, str]] = []
+    find_closed_forms(search, forms, kernel_rank, "constant")
+    for c in given:
+        if independent([f for f, _ in forms], c, loop.z):
+            forms.append((c, "supplied"))
+    find_closed_forms(search, forms, kernel_rank, "quick")
+    count, proved = count_casimirs(sp.Matrix(loop.M), loop.z, len(forms))
+    if len(forms) < count:
+        find_closed_forms(search, forms, count)
+    functions = tuple(f if f in given else _shortened(f) for f, _ in forms)
+    return Casimirs(functions, kernel_rank, count, tuple(o for _, o in forms), proved)
+
+
+def _shortened(c: sp.Expr) -> sp.Expr:
+    """The same function by addition theorems, where that is shorter and proved equal."""
+    if not c.has(TrigonometricFunction):
+        return c
+    shorter = sp.trigsimp(c)
+    same = sp.count_ops(shorter) < sp.count_ops(c) and is_zero(c - shorter) is True
+    return shorter if same else c
+
+
+def _proved(loop: ClosedLoop, c: sp.Expr, index: int) -> sp.Expr:
+    c = scalar_entry(c, f"casimirs[{index}]", loop.z)
+    label = f"casimirs[{index}] = {c}"
+    for j, rate in enumerate(rates(c, loop)):
+        verdict = is_zero(rate)
+        if verdict is not True:
+            how = "is not 0" if verdict is False else "could not be shown to be 0"
+            shown = str(sp.factor_terms(rate))
+            raise ModelError(
+                "casimir_disproved",
+                f"{label} is not a Casimir: entry {j} of ∇Cᵀ(Jcl − Rcl) = {shown[:80]} {how}",
+                "Every entry of ∇Cᵀ(Jcl − Rcl) must vanish for all states; correct or drop it.",
+            )
+    if not c.free_symbols:
+        raise ModelError(
+            "casimir_disproved",
+            f"{label} is a constant",
+            "A Casimir must depend on the states; drop it.",
+        )
+    return c

@@ -1,0 +1,84 @@
+"""The words from which closed forms of Casimirs are composed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from itertools import combinations_with_replacement, product
+
+import sympy as sp
+
+from necc_casadi.symbolic.primitive import primitive
+
+__all__ = ["MOST_WORDS", "angles", "occurring", "products", "times", "trig_products", "unique"]
+
+
+MOST_WORDS = 1100
+
+
+def unique(words: Iterable[sp.Expr]) -> list[sp.Expr]:
+    """Words that contain a state, each once."""
+    return [w for w in dict.fromkeys(words) if w.free_symbols]
+
+
+def products(words: Sequence[sp.Expr], degree: int) -> list[sp.Expr]:
+    """Products of `degree` words; more than MOST_WORDS stand for too many."""
+    if len(words) ** degree > 40 * MOST_WORDS:
+        return [sp.Symbol(f"_too_many{k}") for k in range(MOST_WORDS + 1)]
+    return [sp.Mul(*c) for c in combinations_with_replacement(words, degree)]
+
+
+def times(left: Sequence[sp.Expr], right: Sequence[sp.Expr]) -> list[sp.Expr]:
+    """Every product of a word on the left and one on the right."""
+    return [a * b for a in left for b in right]
+
+
+def angles(functions: Sequence[sp.Expr]) -> list[sp.Expr]:
+    """Arguments of sines and cosines, each once."""
+    return list(dict.fromkeys(f.args[0] for f in functions if isinstance(f, (sp.sin, sp.cos))))
+
+
+def trig_products(angles: Sequence[sp.Expr]) -> list[sp.Expr]:
+    """Products with at most one sine or cosine of each angle, fewest factors first."""
+    if not angles or 3 ** len(angles) > MOST_WORDS:
+        return []
+    choices = [(sp.Integer(1), sp.cos(a), sp.sin(a)) for a in angles]
+    words = [sp.Mul(*choice) for choice in product(*choices)]
+    return sorted((w for w in words if w != 1), key=lambda w: (len(sp.Mul.make_args(w)), str(w)))
+
+
+def occurring(entries: Iterable[sp.Expr], support: Sequence[sp.Symbol]) -> list[sp.Expr]:
+    """Parts of entries that contain no state but those in `support`."""
+    allowed, found = set(support), {}
+    for entry in dict.fromkeys(entries):
+        for f in _parts(sp.sympify(entry)):
+            if f.free_symbols and f.free_symbols <= allowed and not f.is_Symbol:
+                found[f] = f.count_ops()
+    return sorted(found, key=lambda f: (found[f], str(f)))
+
+
+def _parts(entry: sp.Expr) -> Iterable[sp.Expr]:
+    for f in entry.atoms(sp.Function):
+        yield f
+        if isinstance(f, (sp.sin, sp.cos, sp.tan)):
+            yield from (sp.cos(f.args[0]), sp.sin(f.args[0]))
+        if isinstance(f, sp.exp):
+            yield 1 / f
+    numerator, denominator = sp.fraction(sp.together(entry))
+    for part in (numerator, denominator):
+        for factor in sp.Mul.make_args(sp.factor_terms(part)):
+            base, exponent = factor.as_base_exp()
+            if not base.free_symbols or base.is_Function:
+                continue
+            yield sp.log(base)
+            yield base
+            if part is denominator:
+                yield from (1 / base, base**-2)
+            if exponent.is_Rational and not exponent.is_Integer:
+                yield from (base ** (exponent + k) for k in (-1, 0, 1))
+    if len(entry.free_symbols) == 1:
+        (s,) = entry.free_symbols
+        antiderivative = primitive(entry, s)
+        if antiderivative is not None:
+            yield antiderivative.as_independent(s, as_Add=True)[1].as_independent(s, as_Add=False)[
+                1
+            ]

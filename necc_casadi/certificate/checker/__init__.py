@@ -1,0 +1,1 @@
+"""The independent checker, in Arb balls: it loads nothing of the prover, and no CasADi."""

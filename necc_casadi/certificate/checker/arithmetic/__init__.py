@@ -1,0 +1,1 @@
+"""Balls, tapes, and V in them."""

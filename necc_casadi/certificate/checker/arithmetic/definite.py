@@ -1,0 +1,91 @@
+"""Definiteness and norms of ball matrices, and what exact arithmetic says of binary numbers."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+from flint import arb, arb_mat
+
+__all__ = ["exactly_positive", "lyapunov_matrix", "middle_of", "norm", "positive"]
+
+
+#: Of the matrix sign; it converges in about ten.
+_NEWTON_STEPS = 60
+
+
+def norm(v: Sequence[arb]) -> arb:
+    """‖v‖; not a number where an entry is not finite."""
+    if not all(x.is_finite() for x in v):
+        return arb.nan()
+    ends = [(x.abs_lower(), x.abs_upper()) for x in v]  # a ball around 0 squares badly
+    low, high = (sum((end[k] * end[k] for end in ends), arb(0)) for k in (0, 1))
+    return max(low.lower(), arb(0)).sqrt().union(high.upper().sqrt())
+
+
+def middle_of(A: arb_mat) -> np.ndarray[Any, Any]:
+    """The midpoints, rounded: a guess to start from, no bound."""
+    return np.array([[float(v.mid()) for v in row] for row in A.tolist()])
+
+
+def positive(A: arb_mat, mu: float) -> bool:
+    """Whether A − μI ≻ 0: close to diagonal in the eigenvectors of its middle, then Gershgorin."""
+    n = A.nrows()
+    middle = middle_of(A)
+    if not np.isfinite(middle).all():
+        return False
+    values, vectors = np.linalg.eigh((middle + middle.T) / 2 - mu * np.eye(n))
+    if values[0] <= 0:
+        return False
+    S = arb_mat((vectors / np.sqrt(values)).T.tolist())
+    shifted = arb_mat(A)
+    for i in range(n):
+        shifted[i, i] = shifted[i, i] - mu
+    B = S * shifted * S.transpose()
+    rows = B.tolist()
+    return all(
+        bool(row[i] > sum((abs(v) for j, v in enumerate(row) if j != i), arb(0)))
+        for i, row in enumerate(rows)
+    )
+
+
+def lyapunov_matrix(A: np.ndarray[Any, Any]) -> np.ndarray[Any, Any] | None:
+    """A guess of P with AᵀP + PA = −I; what it is worth is decided afterwards.
+
+    Newton's iteration for the matrix sign of [[A, 0], [I, −Aᵀ]], which is [[−I, 0], [2P, I]] where
+    every eigenvalue of A has a negative real part.
+    """
+    if not np.isfinite(A).all():
+        return None
+    identity = np.eye(len(A))
+    S, Q = A, identity
+    for _ in range(_NEWTON_STEPS):
+        try:
+            inverse = np.linalg.inv(S)
+        except np.linalg.LinAlgError:
+            return None
+        scale = np.sqrt(np.linalg.norm(inverse) / np.linalg.norm(S))
+        S = (scale * S + inverse / scale) / 2
+        Q = (scale * Q + inverse.T @ Q @ inverse / scale) / 2
+        if not np.isfinite(Q).all() or np.abs(S + identity).max() < 1e-13 * len(A):
+            break
+    symmetric: np.ndarray[Any, Any] = (Q + Q.T) / 4
+    return symmetric
+
+
+def exactly_positive(A: list[list[float]]) -> bool:
+    """Whether the symmetric part is ≻ 0: pivots of exact elimination."""
+    if not all(math.isfinite(v) for row in A for v in row):
+        return False
+    n = len(A)
+    S = [[Fraction(A[i][j]) + Fraction(A[j][i]) for j in range(n)] for i in range(n)]
+    for k in range(n):
+        if S[k][k] <= 0:
+            return False
+        for i in range(k + 1, n):
+            factor = S[i][k] / S[k][k]
+            S[i] = [a - factor * b for a, b in zip(S[i], S[k], strict=True)]
+    return True

@@ -1,0 +1,256 @@
+"""Networks over boxes in Arb balls: derivatives packed over multi-indices, kept per box."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from functools import reduce
+from itertools import accumulate, combinations_with_replacement, pairwise, product
+from operator import mul
+from typing import Any
+
+from flint import arb, arb_mat
+
+from necc_casadi.certificate.checker.arithmetic.balls import Box, ball, meet
+
+__all__ = ["Net"]
+
+
+#: Arguments of neurons may vary by this much over a piece of a box.
+_SPREAD = 0.25
+
+
+def _tanh(v: arb) -> tuple[arb, arb, arb, arb]:
+    t = v.tanh()
+    one = 1 - t * t
+    return t, one, -2 * t * one, one * (6 * t * t - 2)
+
+
+def _sin(v: arb) -> tuple[arb, arb, arb, arb]:
+    s, c = v.sin(), v.cos()
+    return s, c, -s, -c
+
+
+def _squareplus(v: arb) -> tuple[arb, arb, arb, arb]:
+    r = (v * v + 4).sqrt()
+    return (v + r) / 2, (1 + v / r) / 2, 2 / r**3, -6 * v / r**5
+
+
+_ACTIVATIONS = {"tanh": _tanh, "sin": _sin, "squareplus": _squareplus}
+
+
+Activation = Callable[[arb], tuple[arb, arb, arb, arb]]
+
+
+#: A neuron over a box: its value and its packed derivatives in the network's inputs.
+Row = list[arb]
+
+
+#: f, ∇f, and ∇²f over pairs i ≤ j.
+Derivatives = tuple[arb, list[arb], dict[tuple[int, int], arb]]
+
+
+class Net:
+    """A network ℝᵈ → ℝ: value, gradient, Hessian and third derivative over a box."""
+
+    def __init__(
+        self, layers: list[tuple[arb_mat, arb_mat]], activation: Activation, inputs: int
+    ) -> None:
+        self.layers, self.activation, self.d = layers, activation, inputs
+        self._layout(inputs)
+        self.quadratic: tuple[list[arb], list[arb]] | None = None
+        self.linear: list[arb] | None = None
+        rows = layers[0][0].tolist()
+        self._powers = [
+            [[reduce(mul, (row[i] for i in key), arb(1)) for key in keys] for keys in self._keys]
+            for row in rows
+        ]
+        self.steepest = [max(float(abs(row[i]).upper()) for row in rows) for i in range(inputs)]
+        self._known: dict[Box, Derivatives] = {}
+
+    def _layout(self, d: int) -> None:
+        """Where the derivatives stand in the row of a neuron: value, ∇, ∇² and third, packed."""
+        self._keys = [list(combinations_with_replacement(range(d), k)) for k in range(4)]
+        self._at = [0, *accumulate(len(keys) for keys in self._keys)]
+        self._pairs = [(i, j) for i, j in self._keys[2]]
+        where = {key: n for n, key in enumerate(key for keys in self._keys for key in keys)}
+        self._above = [
+            [where[tuple(sorted((*key, k)))] for k in range(d)]
+            for keys in self._keys[:3]
+            for key in keys
+        ]
+        pair = {key: n for n, key in enumerate(self._pairs)}
+        third = [(i, j, k) for i, j, k in self._keys[3]]
+        self._triples = third, [(pair[i, j], pair[i, k], pair[j, k]) for i, j, k in third]
+
+    @classmethod
+    def from_weights(cls, shape: Mapping[str, Any], weights: Sequence[float]) -> tuple[Net, int]:
+        """A network of design.json and how many weights it took."""
+        widths = [shape["inputs"], *shape["hidden"], 1]
+        at, layers = 0, []
+        for columns, rows in pairwise(widths):
+            starts = range(at, at + rows * columns, columns)
+            W = [list(map(arb, weights[k : k + columns])) for k in starts]
+            at += rows * columns
+            layers.append((arb_mat(W), arb_mat([[arb(b)] for b in weights[at : at + rows]])))
+            at += rows
+        net = cls(layers, _ACTIVATIONS[shape["activation"]], shape["inputs"])
+        if shape["quadratic"]:
+            d = shape["inputs"]
+            kappa, center = (list(map(arb, weights[at + k * d : at + (k + 1) * d])) for k in (0, 1))
+            net.quadratic, at = (kappa, center), at + 2 * d
+        return net, at
+
+    @classmethod
+    def outer(cls, phi: Mapping[str, Any], weights: Sequence[float]) -> Net:
+        """The neural Φ(e, k) = δe + k + Σ exp(a) tanh(exp(b)e + dk + f)."""
+        h = phi["hidden"]
+        a, b, d, f = (list(map(arb, weights[i * h : (i + 1) * h])) for i in range(4))
+        first = arb_mat([[x.exp(), y] for x, y in zip(b, d, strict=True)])
+        second = arb_mat([[x.exp() for x in a]])
+        layers = [(first, arb_mat([[x] for x in f])), (second, arb_mat([[arb(0)]]))]
+        net = cls(layers, _tanh, 2)
+        net.linear = [arb(phi["delta"]), arb(1)]
+        return net
+
+    def quadratic_curvature(self) -> arb_mat:
+        """Diag κ."""
+        total = arb_mat(self.d, self.d)
+        for i, kappa in enumerate(self.quadratic[0] if self.quadratic else ()):
+            total[i, i] = kappa
+        return total
+
+    def __call__(self, box: Box) -> Derivatives:
+        """(f, ∇f, ∇²f over pairs i ≤ j) over a box, by mean-value forms about its middle."""
+        if box not in self._known:
+            pieces = self._pieces(box)
+            if len(pieces) == 1:  # its middle comes with it, and will be asked for
+                self._known[box], self._known[_middle(box)] = self._around(box)
+            else:
+                self._known[box] = reduce(_union, map(self.enclose, pieces))
+        return self._known[box]
+
+    def _pieces(self, box: Box) -> list[Box]:
+        """The box, cut where a neuron's argument varies much."""
+        most = {1: 16, 2: 4}.get(self.d, 2)
+        sides = []
+        for (lo, hi), steep in zip(box, self.steepest, strict=True):
+            count = min(most, max(1, math.ceil((hi - lo) * steep / _SPREAD)))
+            ends = [lo + (hi - lo) * k / count for k in range(count)] + [hi]
+            sides.append(list(pairwise(ends)))
+        return list(product(*sides))
+
+    def at(self, point: list[arb]) -> tuple[arb, list[arb]]:
+        """(f, ∇f) at a point of balls, to the precision that is set."""
+        return self._completed(self._pass(point, None)[0], point)[:2]
+
+    def enclose(self, box: Box) -> Derivatives:
+        """The same as for a call over a box, which is not cut, and not kept."""
+        return self._around(box)[0]
+
+    def _around(self, box: Box) -> tuple[Derivatives, Derivatives]:
+        """Over a box and at its middle."""
+        wide, at = ([ball(*side) for side in b] for b in (box, _middle(box)))
+        over, middle = self._pass(wide, None if _middle(box) == box else at)
+        return self._completed(over, wide), self._completed(middle, at)
+
+    def _completed(self, parts: Derivatives, v: list[arb]) -> Derivatives:
+        """With the quadratic and the linear part."""
+        value, grad, hess = parts[0], list(parts[1]), dict(parts[2])
+        if self.quadratic is not None:
+            for i, (kappa, center) in enumerate(zip(*self.quadratic, strict=True)):
+                offset = v[i] - center
+                value, grad[i] = value + kappa * offset * offset / 2, grad[i] + kappa * offset
+                hess[i, i] += kappa
+        if self.linear is not None:
+            for i, slope in enumerate(self.linear):
+                value, grad[i] = value + slope * v[i], grad[i] + slope
+        return value, grad, hess
+
+    def _pass(self, wide: list[arb], at: list[arb] | None) -> tuple[Derivatives, Derivatives]:
+        """Over a box and at its middle `at`, None for a point, from the layers alone.
+
+        Third derivatives serve the mean-value forms.
+        """
+        if len(self.layers) == 1:
+            return self._affine(wide), self._affine(at or wide)
+        over = self._first(wide, 2 if at is None else 3)
+        middle = [] if at is None else self._first(at, 2)
+        step = [] if at is None else [w - a for w, a in zip(wide, at, strict=True)]
+        for depth, (W, b) in enumerate(self.layers[1:]):
+            if depth:
+                over, middle = ([self._activated(row) for row in rows] for rows in (over, middle))
+            over = self._next(W, b, over)
+            if at is not None:
+                middle = self._next(W, b, middle)
+                over = [self._centred(o, m, step) for o, m in zip(over, middle, strict=True)]
+        return self._unpacked(over[0]), self._unpacked((middle or over)[0])
+
+    def _unpacked(self, row: Row) -> Derivatives:
+        value, grad, hess = (row[self._at[k] : self._at[k + 1]] for k in range(3))
+        return value[0], grad, dict(zip(self._pairs, hess, strict=True))
+
+    def _affine(self, v: list[arb]) -> Derivatives:
+        """A network without hidden layers."""
+        W, b = self.layers[0]
+        value = (W * arb_mat([[x] for x in v]) + b)[0, 0]
+        return value, W.tolist()[0], {pair: arb(0) for pair in self._pairs}
+
+    def _first(self, v: list[arb], order: int) -> list[Row]:
+        """The first layer: k-th derivatives of a neuron are σ⁽ᵏ⁾ times k entries of its row."""
+        W, b = self.layers[0]
+        arguments = (W * arb_mat([[x] for x in v]) + b).tolist()
+        result = []
+        for (a,), powers in zip(arguments, self._powers, strict=True):
+            f = self.activation(a)
+            row = [f[0]]
+            for k in range(1, order + 1):
+                row += [f[k] * p for p in powers[k]]
+            result.append(row)
+        return result
+
+    @staticmethod
+    def _next(W: arb_mat, b: arb_mat, rows: list[Row]) -> list[Row]:
+        """Arguments of the next layer."""
+        result: list[Row] = (W * arb_mat(rows)).tolist()
+        for row, (shift,) in zip(result, b.tolist(), strict=True):
+            row[0] = row[0] + shift
+        return result
+
+    def _activated(self, row: Row) -> Row:
+        """σ of a neuron's argument (Faà di Bruno), to the third order where the row has it."""
+        f0, f1, f2, f3 = self.activation(row[0])
+        full = len(row) == self._at[4]
+        if self.d == 1:
+            g, H = row[1], row[2]
+            f2g = f2 * g
+            result = [f0, f1 * g, f1 * H + f2g * g]
+            return [*result, f1 * row[3] + 3 * f2g * H + f3 * g * g * g] if full else result
+        g, H = row[1 : self._at[2]], row[self._at[2] : self._at[3]]
+        result = [f0, *(f1 * x for x in g)]
+        result += [f1 * h + f2 * g[i] * g[j] for h, (i, j) in zip(H, self._pairs, strict=True)]
+        if full:
+            for T, (i, j, k), (ij, ik, jk) in zip(row[self._at[3] :], *self._triples, strict=True):
+                bent = H[ij] * g[k] + H[ik] * g[j] + H[jk] * g[i]
+                result.append(f1 * T + f2 * bent + f3 * g[i] * g[j] * g[k])
+        return result
+
+    def _centred(self, over: Row, middle: Row, step: list[arb]) -> Row:
+        """Each derivative by its mean-value form as well, from the derivatives one order up."""
+        result = []
+        for naive, center, above in zip(over, middle, self._above, strict=False):
+            bound = center
+            for n, s in zip(above, step, strict=True):
+                bound = bound + over[n] * s
+            result.append(meet(naive, bound))
+        return result + over[self._at[3] :]
+
+
+def _middle(box: Box) -> Box:
+    return tuple((m, m) for m in (lo / 2 + hi / 2 for lo, hi in box))
+
+
+def _union(a: Derivatives, b: Derivatives) -> Derivatives:
+    """The hull of two enclosures of (f, ∇f, ∇²f)."""
+    grad = [u.union(v) for u, v in zip(a[1], b[1], strict=True)]
+    return a[0].union(b[0]), grad, {key: a[2][key].union(b[2][key]) for key in a[2]}

@@ -1,0 +1,253 @@
+"""V, ∇V and ∇²V over boxes in Arb balls, from expressions that are differentiated symbolically.
+
+Results are kept per box, since neighbouring cells ask for the same ones.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import sympy as sp
+from flint import arb, arb_mat
+
+from necc_casadi.certificate.checker.arithmetic.balls import Box, ball, ends, evaluate, meet
+from necc_casadi.certificate.checker.arithmetic.networks import Net
+from necc_casadi.certificate.checker.model import StoredDesign
+
+__all__ = ["Energy", "hessian_hull"]
+
+
+class _Term:
+    """An expression in the coordinates of a box, kept by the coordinates that it contains."""
+
+    def __init__(self, expr: sp.Expr, variables: Sequence[sp.Symbol]) -> None:
+        self.expr = expr
+        self.used = [(k, v) for k, v in enumerate(variables) if expr.has(v)]
+        self.constant = None if self.used else evaluate(expr, {})
+        self._known: dict[Box, arb] = {}
+
+    def __call__(self, box: Box) -> arb:
+        if self.constant is not None:
+            return self.constant
+        key = tuple(box[k] for k, _ in self.used)
+        if key not in self._known:
+            self._known[key] = evaluate(self.expr, {v: ball(*box[k]) for k, v in self.used})
+        return self._known[key]
+
+
+class Energy:
+    """V in some of the states over boxes, the other states being 0."""
+
+    def __init__(self, model: StoredDesign, active: Sequence[int]) -> None:
+        self.model, self.active, self.d = model, tuple(active), len(active)
+        self.variables = [model.z[i] for i in active]
+        at_rest = {s: 0 for i, s in enumerate(model.z) if i not in active}
+        self._tables = [
+            self._derivatives(sp.sympify(f).subs(at_rest)) for f in (model.H, *model.casimirs)
+        ]
+        self._nets()
+
+    def _derivatives(self, f: sp.Expr) -> tuple[_Term, list[_Term], list[list[_Term]]]:
+        v = self.variables
+        grad = [sp.diff(f, s) for s in v]
+        hess = [[_Term(sp.diff(g, s), v) for s in v] for g in grad]
+        return _Term(f, v), [_Term(g, v) for g in grad], hess
+
+    def _nets(self) -> None:
+        form, at, nets = self.model.form, 0, []
+        for shape in (form["hc"], form["k"], *form["betas"]):
+            net, used = Net.from_weights(shape, self.model.weights[at:])
+            nets.append(net)
+            at += used
+        self.hc, self.k, *self.betas = nets
+        self.phi = None if form["phi"] is None else Net.outer(form["phi"], self.model.weights[at:])
+
+    def value(self, box: Box) -> arb:
+        """V over a box, by the mean-value form."""
+        middle: Box = tuple((m, m) for m in (lo / 2 + hi / 2 for lo, hi in box))
+        naive, grad = self._first(box)
+        if middle == box:
+            return naive
+        steps = [ball(lo, hi) - arb(m) for (lo, hi), (m, _) in zip(box, middle, strict=True)]
+        centred = sum((g * s for g, s in zip(grad, steps, strict=True)), self._first(middle)[0])
+        return meet(naive, centred)
+
+    def at_most(self, box: Box, level: float) -> bool:
+        """Whether V ≤ level over a box; far below the level no sharp bound is needed."""
+        return bool(self._first(box)[0] <= level) or bool(self.value(box) <= level)
+
+    def gradient(self, box: Box) -> list[arb]:
+        """∇V over a box."""
+        return self._first(box)[1]
+
+    def gradient_at(self, point: Sequence[arb]) -> list[arb]:
+        """∇V at a point of balls, to the precision that is set; none is rounded to doubles."""
+        values = dict(zip(self.variables, point, strict=True))
+        tables = [
+            (evaluate(f.expr, values), [evaluate(g.expr, values) for g in grad])
+            for f, grad, _ in self._tables
+        ]
+        (energy, slope), inner = tables[0], tables[1:]
+        hc, dhc = self.hc.at(list(point[-self.model.nc :]))
+        for i, g in enumerate(dhc):
+            slope[self.d - self.model.nc + i] += g
+        if self.betas:
+            parts = [beta.at([c]) for beta, (c, _) in zip(self.betas, inner, strict=True)]
+            pairs = [(b, dc) for (_, (b,)), (_, dc) in zip(parts, inner, strict=True)]
+            inner = [(sum((v for v, _ in parts), arb(0)), self._combined(pairs))]
+        C, outer = self.k.at([c for c, _ in inner])
+        casimir = self._combined([(w, dc) for w, (_, dc) in zip(outer, inner, strict=True)])
+        if self.phi is None:
+            return self._combined([(arb(1), slope), (arb(1), casimir)])
+        _, (phi_e, phi_c) = self.phi.at([energy + hc, C])
+        return self._combined([(phi_e, slope), (phi_c, casimir)])
+
+    def _combined(self, parts: Sequence[tuple[arb, list[arb]]]) -> list[arb]:
+        return [sum((w * v[i] for w, v in parts), arb(0)) for i in range(self.d)]
+
+    def slope_along(self, box: Box, direction: Sequence[float]) -> arb:
+        """∇V · direction over a box; what the Casimirs add cancels before it is enclosed."""
+        t = direction
+        e, de, C, _ = self._energy_and_casimir(box)
+        _, inner, outer, _ = self._casimir(box)
+        energy = sum((g * v for g, v in zip(de, t, strict=True)), arb(0))
+        casimir = arb(0)
+        for slope, (_, grad, _) in zip(outer, inner, strict=True):
+            casimir += slope * sum((g * v for g, v in zip(grad, t, strict=True)), arb(0))
+        if self.phi is None:
+            return arb(energy + casimir)
+        slopes = self.phi((ends(e), ends(C)))[1]
+        return arb(slopes[0] * energy + slopes[1] * casimir)
+
+    def _first(self, box: Box) -> tuple[arb, list[arb]]:
+        e, de, C, dC = self._energy_and_casimir(box)
+        if self.phi is None:
+            return e + C, [a + b for a, b in zip(de, dC, strict=True)]
+        value, (slope_e, slope_c), _ = self.phi((ends(e), ends(C)))
+        return value, [slope_e * a + slope_c * b for a, b in zip(de, dC, strict=True)]
+
+    def _energy_and_casimir(self, box: Box) -> tuple[arb, list[arb], arb, list[arb]]:
+        H, dH, _ = self._tables[0]
+        hc, dhc, _ = self.hc(box[-self.model.nc :])
+        grad = [g(box) for g in dH]
+        for i, g in enumerate(dhc):
+            grad[self.d - self.model.nc + i] += g
+        C, inner, outer, _ = self._casimir(box)
+        slope = [
+            sum((outer[a] * s[1][i] for a, s in enumerate(inner)), arb(0)) for i in range(self.d)
+        ]
+        return H(box) + hc, grad, C, slope
+
+    def _casimir(
+        self, box: Box
+    ) -> tuple[arb, list[tuple[arb, list[arb], Any]], list[arb], dict[tuple[int, int], arb]]:
+        """K, its inner functions (value, gradient, Hessian), ∇K and ∇²K."""
+        inner = []
+        for f, grad, hess in self._tables[1:]:
+            rows = [[h(box) for h in row] for row in hess]
+            inner.append((f(box), [g(box) for g in grad], rows))
+        if self.betas:
+            inner = [self._summed(inner)]
+        value, outer, curved = self.k(tuple(ends(s[0]) for s in inner))
+        return value, inner, outer, curved
+
+    def _summed(self, inner: list[tuple[arb, list[arb], Any]]) -> tuple[arb, list[arb], Any]:
+        """Σ βᵢ(cᵢ)."""
+        total, grad = arb(0), [arb(0)] * self.d
+        hess = [[arb(0)] * self.d for _ in range(self.d)]
+        for beta, (c, dc, ddc) in zip(self.betas, inner, strict=True):
+            b, (b1,), curved = beta((ends(c),))
+            total = total + b
+            grad = [g + b1 * s for g, s in zip(grad, dc, strict=True)]
+            for i in range(self.d):
+                for j in range(self.d):
+                    hess[i][j] = hess[i][j] + b1 * ddc[i][j] + curved[0, 0] * dc[i] * dc[j]
+        return total, grad, hess
+
+    def casimirs(self, box: Box) -> tuple[list[arb], list[list[arb]]]:
+        """The Casimirs and their gradients over a box."""
+        tables = self._tables[1:]
+        return [f(box) for f, _, _ in tables], [[g(box) for g in grad] for _, grad, _ in tables]
+
+    def hessian(self, box: Box, sign: int = 1) -> arb_mat:
+        """A matrix L with ∇²V ⪰ L (sign 1) or ∇²V ⪯ L (sign −1) over a box.
+
+        Where Φ is the sum, ∇²K and ∇²Hc enter through one matrix below (above) all of theirs.
+        """
+        H, first = self._tables[0][2], self.d - self.model.nc
+        _, _, curved = self.hc(box[first:])
+        _, inner, outer, curved_k = self._casimir(box)
+        sharp = self.phi is None
+        total = [[h(box) for h in row] for row in H]
+        self._add(total, _loewner(curved, self.model.nc, sign) if sharp else curved, first)
+        part = [[arb(0)] * self.d for _ in range(self.d)] if self.phi is not None else total
+        weights = _loewner(curved_k, len(inner), sign) if sharp else curved_k
+        for a, (_, _, ddc) in enumerate(inner):
+            for i in range(self.d):
+                for j in range(self.d):
+                    part[i][j] = part[i][j] + outer[a] * ddc[i][j]
+        for (a, b), w in weights.items():
+            self._add_outer(part, w, inner[a][1], inner[b][1], a != b)
+        return arb_mat(total) if self.phi is None else self._through_phi(box, total, part)
+
+    @staticmethod
+    def _add(total: list[list[arb]], block: Mapping[tuple[int, int], arb], first: int) -> None:
+        for (i, j), h in block.items():
+            total[first + i][first + j] = total[first + i][first + j] + h
+            if i != j:
+                total[first + j][first + i] = total[first + j][first + i] + h
+
+    def _add_outer(self, total: Any, w: arb, u: list[arb], v: list[arb], both: bool) -> None:
+        for i in range(self.d):
+            for j in range(self.d):
+                term = u[i] * v[j] + v[i] * u[j] if both else u[i] * v[j]
+                total[i][j] = total[i][j] + w * term
+
+    def _through_phi(self, box: Box, energy: Any, casimir: Any) -> arb_mat:
+        e, de, C, dC = self._energy_and_casimir(box)
+        if self.phi is None:
+            return arb_mat(energy)
+        _, (pe, pc), curved = self.phi((ends(e), ends(C)))
+        result = [
+            [pe * energy[i][j] + pc * casimir[i][j] for j in range(self.d)] for i in range(self.d)
+        ]
+        for (a, b), w in curved.items():
+            self._add_outer(result, w, (de, dC)[a], (de, dC)[b], a != b)
+        return arb_mat(result)
+
+    def slope(self, box: Box) -> arb:
+        """Φ₁ over a box."""
+        if self.phi is None:
+            return arb(1)
+        e, _, C, _ = self._energy_and_casimir(box)
+        return self.phi((ends(e), ends(C)))[1][0]
+
+
+def hessian_hull(energy: Energy, box: Box) -> arb_mat:
+    """∇²V over a box: between its bounds from below and from above, entry by entry.
+
+    From L ⪯ A ⪯ U follows |A − (L+U)/2| ≤ ½ tr(U − L) in every entry.
+    """
+    low, high = energy.hessian(box), energy.hessian(box, -1)
+    slack = arb(0)
+    for i in range(low.nrows()):
+        slack = slack + (high[i, i] - low[i, i]).abs_upper()
+    middle = (low + high) / 2
+    width = ball(-1.0, 1.0) * slack
+    return arb_mat([[v + width for v in row] for row in middle.tolist()])
+
+
+def _loewner(
+    hess: Mapping[tuple[int, int], arb], size: int, sign: int
+) -> dict[tuple[int, int], arb]:
+    """Thin matrix ⪯ (sign 1) or ⪰ (sign −1) every symmetric matrix enclosed."""
+    spread = [arb(0)] * size
+    for (i, j), h in hess.items():
+        spread[i] = spread[i] + h.rad()
+        if i != j:
+            spread[j] = spread[j] + h.rad()
+    worst = spread[0]
+    for s in spread[1:]:
+        worst = worst.max(s)
+    return {(i, j): h.mid() - sign * worst if i == j else h.mid() for (i, j), h in hess.items()}

@@ -1,0 +1,100 @@
+"""Input limits over boxes of the states that are not momenta."""
+
+from __future__ import annotations
+
+import sympy as sp
+from flint import arb
+
+from necc_casadi.certificate.checker.arithmetic.balls import Box, ball, by_bisection, evaluate
+from necc_casadi.certificate.checker.arithmetic.potential import Energy
+from necc_casadi.certificate.checker.evidence import Checked, Evidence
+from necc_casadi.certificate.checker.model import StoredDesign
+from necc_casadi.certificate.checker.region.chart import ChartProof
+from necc_casadi.certificate.checker.region.region import _PROOFS
+from necc_casadi.certificate.claims import statements
+
+__all__ = ["InputProof", "check_input_limits"]
+
+
+#: How often a box may be halved: small levels need small boxes.
+_DEPTH = 28
+
+
+class InputProof:
+    """u = −Gcᵀ∇Hc − D Gᵀ ∂V/∂x over boxes, the momenta s within ½ δ sᵀAs ≤ c_u − V(y, 0)."""
+
+    def __init__(self, model: StoredDesign, energy: Energy, level: float) -> None:
+        self.model, self.energy, self.level = model, energy, level
+        self.resting = [i for i in range(len(model.z)) if i not in energy.active]
+        self.driven = [
+            (k, i) for k, i in enumerate(energy.active) if i < model.n and any(model.G.row(i))
+        ]
+        s = [model.z[i] for i in self.resting]
+        self.A = sp.hessian(model.H, s) if s else sp.zeros(0)
+
+    def covered(self) -> bool:
+        """Whether the momenta enter u through Gᵀ Φ₁ A s alone."""
+        model, s = self.model, [self.model.z[i] for i in self.resting]
+        if not s:
+            return True
+        coupled = any(self.A.has(model.z[i]) for _, i in self.driven)
+        return not (coupled or model.G.has(*s) or (self.driven and self.energy.phi is not None))
+
+    def kept(self, box: Box) -> bool:
+        """Whether u is within the limits wherever V ≤ c_u over a box."""
+        return by_bisection(box, self._within, _DEPTH)
+
+    def _within(self, box: Box) -> bool:
+        room = self.level - self.energy.value(box)
+        if room < 0:
+            return True
+        if not room.is_finite():
+            return False
+        model, gradient = self.model, self.energy.gradient(box)
+        values = {v: ball(*b) for v, b in zip(self.energy.variables, box, strict=True)}
+        slopes = self.energy.hc(box[-model.nc :])[1]
+        G = [[evaluate(e, values) for e in row] for row in model.G.tolist()]
+        Gc = [[evaluate(e, values) for e in row] for row in model.Gc.tolist()]
+        stiff = [[evaluate(e, values) for e in row] for row in self.A.tolist()]
+        for k, (lo, hi) in enumerate(model.u_limits or ()):
+            damped = [sum((model.D[k][j] * g for j, g in enumerate(row)), arb(0)) for row in G]
+            u = -sum((Gc[j][k] * slope for j, slope in enumerate(slopes)), arb(0))
+            u = u - sum((damped[i] * gradient[at] for at, i in self.driven), arb(0))
+            swing = self._swing([damped[i] for i in self.resting], stiff, room)
+            if not (bool(u - swing >= float(lo)) and bool(u + swing <= float(hi))):
+                return False
+        return True
+
+    def _swing(self, w: list[arb], A: list[list[arb]], room: arb) -> arb:
+        """The most that Φ₁ wᵀAs can be."""
+        form = sum((a * x * y for x, row in zip(w, A, strict=True)
+                    for y, a in zip(w, row, strict=True)), arb(0))  # fmt: skip
+        most = (form * 2 * room.upper()).upper()
+        if not most.is_finite():
+            return arb("inf")
+        phi = self.energy.phi
+        root = most.max(arb(0)).sqrt()
+        if phi is None:
+            return arb(root.upper())
+        first, second = phi.layers[0][0], phi.layers[1][0]
+        delta = arb(self.model.form["phi"]["delta"])
+        slope = sum((first[i, 0] * second[0, i] for i in range(first.nrows())), delta)
+        return arb((root * slope / delta.sqrt()).upper())
+
+
+def check_input_limits(evidence: Evidence, sound: bool) -> Checked:
+    """U stays within the model's limits wherever V ≤ c_u on the cells of the region."""
+    level, region = evidence.certificate["level_u"], evidence.certificate["region"]
+    limits = evidence.model.u_limits
+    if level is None or limits is None or region is None or not sound:
+        return Checked("input_limits", False, "no input limits are proved to be kept")
+    active = [int(i) for i in region["active"]]
+    energy, z_bar = evidence.reduced(active), evidence.z_bar(active)
+    proof = _PROOFS[region["method"]](evidence, energy, region, z_bar)
+    if isinstance(proof, ChartProof):
+        return Checked("input_limits", False, "no input limits in the coordinates (c, ξ)")
+    inputs = InputProof(evidence.model, energy, float(level))
+    holds = bool(energy.value(z_bar) < float(level)) and float(level) <= float(region["level"])
+    holds = holds and inputs.covered() and all(inputs.kept(box) for box in proof.boxes())
+    text = statements.input_limits(limits, float(level), float(region["level"]))
+    return Checked("input_limits", holds, text)

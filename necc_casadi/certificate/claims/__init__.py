@@ -1,0 +1,1 @@
+"""What maker and checker share: claims, regions and words, as data."""

@@ -1,0 +1,23 @@
+"""One statement of a certificate."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+__all__ = ["CERTIFICATE_FORMAT", "Claim"]
+
+
+#: Version of the layout of certificate.json.
+CERTIFICATE_FORMAT = 2
+
+
+@dataclass(frozen=True)
+class Claim:
+    """A statement in plain words, and whether it is proved."""
+
+    name: str
+    holds: bool
+    statement: str
+    data: Mapping[str, Any] = field(default_factory=dict)  # numbers that the checker needs

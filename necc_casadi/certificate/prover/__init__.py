@@ -1,0 +1,1 @@
+"""The maker of certificates, in outward-rounded intervals."""

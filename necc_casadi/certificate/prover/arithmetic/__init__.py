@@ -1,0 +1,1 @@
+"""Intervals, jets, and V over boxes."""

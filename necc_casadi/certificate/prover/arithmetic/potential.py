@@ -1,0 +1,166 @@
+"""Enclosures of V = Φ(H + Hc, C), ∇V and ∇²V over boxes: expressions, networks, composition."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property, reduce
+from itertools import product
+
+import numpy as np
+import sympy as sp
+
+from necc_casadi.arrays import Vector
+from necc_casadi.certificate.prover.arithmetic.boxes import hull
+from necc_casadi.certificate.prover.arithmetic.intervals import Interval, concatenate, point, stack
+from necc_casadi.certificate.prover.arithmetic.jets import (
+    Jet,
+    chain,
+    constant,
+    coordinates,
+    expression_jets,
+)
+from necc_casadi.certificate.prover.arithmetic.networks import network_jet, phi_jet
+from necc_casadi.designs.design import Design
+from necc_casadi.lyapunov.networks import Network
+
+__all__ = ["Potential", "over_pieces", "target_enclosure"]
+
+
+#: Boxes per network evaluation: arrays stay within a processor's cache.
+_ROWS = 512
+
+
+#: Network evaluations that one call may spend on cutting boxes, and pieces per axis at most.
+_BUDGET, _PIECES = 2048, 8
+
+
+@dataclass(frozen=True, eq=False)
+class Potential:
+    """V of a design over boxes of z, or of the states that are left when others rest at 0."""
+
+    design: Design
+    resting: tuple[int, ...] = ()  # plant states that are held at 0; no Casimir depends on them
+    active: tuple[int, ...] = field(init=False)  # the others, in the order of z
+
+    def __post_init__(self) -> None:
+        states = range(self.design.loop.n)
+        object.__setattr__(self, "active", tuple(i for i in states if i not in self.resting))
+
+    @cached_property
+    def energy(self) -> sp.Expr:
+        """H with the resting states at 0."""
+        loop = self.design.loop
+        return loop.plant.H.subs({loop.z[i]: 0 for i in self.resting})
+
+    def jet(self, Z: Interval) -> Jet:
+        """V, ∇V and ∇²V in the active states over boxes (B, active), with S = (B,)."""
+        with np.errstate(all="ignore"):
+            middle = Z.mid
+            both = self._jet(concatenate(Z, point(middle)))
+            return both[: Z.shape[0]].centred(both[Z.shape[0] :], Z - middle)
+
+    def lower_hessian(self, Z: Interval) -> Interval:
+        """Matrices L with ∇²V ⪰ L' for an L' in L, tighter than ∇²V itself, (B, active, active).
+
+        Where Φ is the sum, ∇²K and ∇²Hc are replaced by matrices below them in the order ⪰: their
+        entries, which vary together, no longer count as if each varied alone.
+        """
+        if self.design.form.phi is not None:
+            return self.jet(Z).hess
+        with np.errstate(all="ignore"):
+            energy, casimir = self._parts(Z, below=True)
+            return (energy + casimir).hess
+
+    def slope(self, Z: Interval) -> Interval:
+        """Φ₁ = ∂Φ/∂(H + Hc) over boxes (B, active), shape (B,)."""
+        form, weights = self.design.form, self._weights
+        if form.phi is None:
+            return point(np.ones(Z.shape[0]))
+        with np.errstate(all="ignore"):
+            energy, casimir = self._parts(Z)
+            inputs = stack([energy.value, casimir.value])
+            return phi_jet(form.phi, weights[-1], inputs).grad[:, 0]
+
+    @property
+    def _weights(self) -> list[Vector]:
+        return self.design.form.split(self.design.weights)
+
+    def _jet(self, Z: Interval) -> Jet:
+        energy, casimir = self._parts(Z)
+        phi = self.design.form.phi
+        if phi is None:
+            return energy + casimir
+        outer = phi_jet(phi, self._weights[-1], stack([energy.value, casimir.value]))
+        return chain(outer, [energy, casimir])
+
+    def _parts(self, Z: Interval, below: bool = False) -> tuple[Jet, Jet]:
+        """(H + Hc, C) over boxes; `below`: with ∇²K and ∇²Hc from below."""
+        loop, form, weights = self.design.loop, self.design.form, self._weights
+        variables = coordinates(Z)
+        H, *c = self._expressions(Z)
+        Hc = _compose(form.hc, weights[0], variables[-loop.controller.nc :], below)
+        return Hc + H, self._casimir([_as_jet(part, variables[0]) for part in c], below)
+
+    def _expressions(self, Z: Interval) -> list[Jet | Interval]:
+        """H and the closed-form Casimirs over boxes, by mean-value forms about their middles."""
+        functions = [self.energy, *self.design.casimirs.functions]
+        symbols = [self.design.loop.z[i] for i in self.active]
+        boxes, middle = Z.shape[0], Z.mid
+        variables = coordinates(concatenate(Z, point(middle)))
+        both = expression_jets(functions, dict(zip(symbols, variables, strict=True)))
+        return [
+            part[:boxes].centred(part[boxes:], Z - middle) if isinstance(part, Jet) else part
+            for part in both
+        ]
+
+    def _casimir(self, c: list[Jet], below: bool) -> Jet:
+        form, weights = self.design.form, self._weights
+        if form.betas:
+            parts = zip(form.betas, weights[2:], c, strict=False)
+            c = [reduce(lambda a, b: a + b, [_compose(beta, w, [s]) for beta, w, s in parts])]
+        return _compose(form.k, weights[1], c, below)
+
+
+def _as_jet(part: Jet | Interval, like: Jet) -> Jet:
+    return part if isinstance(part, Jet) else like * 0.0 + part
+
+
+def _compose(network: Network, weights: Vector, inputs: list[Jet], below: bool = False) -> Jet:
+    """f(inputs); equal argument boxes, of which a grid has many, are evaluated once."""
+    X = stack([j.value for j in inputs])
+    d = X.shape[1]
+    unique, inverse = np.unique(np.concatenate([X.lo, X.hi], axis=1), axis=0, return_inverse=True)
+    outer = over_pieces(network, weights, Interval(unique[:, :d], unique[:, d:]))
+    if below:
+        outer = Jet(outer.value, outer.grad, _below(outer.hess))
+    return chain(outer[inverse.ravel()], inputs)
+
+
+def over_pieces(network: Network, weights: Vector, X: Interval) -> Jet:
+    """A network over boxes (B, d), each cut into pieces as far as the budget allows."""
+    boxes, d = X.shape
+    wide = max(1, int((X.hi > X.lo).any(-1).sum()))
+    count = int(np.clip((_BUDGET / wide) ** (1 / d), 1, _PIECES))
+    edges = X.lo[:, None] + (X.hi - X.lo)[:, None] * (np.arange(count + 1) / count)[:, None]
+    edges[:, -1] = X.hi
+    index, axes = np.array(list(product(range(count), repeat=d))), np.arange(d)
+    pieces = Interval(edges[:, index, axes], edges[:, index + 1, axes]).reshape(-1, d)
+    parts = [
+        network_jet(network, weights, pieces[rows])
+        for rows in np.array_split(np.arange(pieces.shape[0]), -(-pieces.shape[0] // _ROWS))
+    ]
+    return Jet(*(hull(part, boxes) for part in vars(reduce(Jet.above, parts)).values()))
+
+
+def _below(hess: Interval) -> Interval:
+    """Matrices that are ⪯ every symmetric matrix in the enclosures (B, d, d)."""
+    middle = (hess.mid + np.swapaxes(hess.mid, -1, -2)) / 2
+    radius = (hess - middle).magnitude
+    bound = point(np.maximum(radius, np.swapaxes(radius, -1, -2))).sum().hi.max(-1)
+    return point(middle) - point(bound)[..., None, None] * np.eye(hess.shape[-1])
+
+
+def target_enclosure(design: Design) -> Interval:
+    """z* = (x*, ξ*), the exact target and the exported controller state, (n + nc,)."""
+    exact = [constant(sp.sympify(value)) for value in design.x_star]
+    return stack([*exact, *[point(value) for value in design.xi_star]])

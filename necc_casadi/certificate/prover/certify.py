@@ -1,0 +1,162 @@
+"""certify(design): run the proofs and collect what holds."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+
+from necc_casadi.certificate.claims import statements
+from necc_casadi.certificate.claims.certificate import Certificate
+from necc_casadi.certificate.claims.claim import Claim
+from necc_casadi.certificate.prover.arithmetic.intervals import self_test
+from necc_casadi.certificate.prover.arithmetic.potential import Potential
+from necc_casadi.certificate.prover.attraction import prove_attraction, prove_only_stable
+from necc_casadi.certificate.prover.decrease import prove_decrease
+from necc_casadi.certificate.prover.equilibrium import Equilibrium, prove_equilibrium
+from necc_casadi.certificate.prover.global_stability import GlobalStability, prove_global_stability
+from necc_casadi.certificate.prover.input_limits import input_level
+from necc_casadi.certificate.prover.invariant_sets import largest_invariant_set_is_critical
+from necc_casadi.certificate.prover.region.region import RegionProof, prove_region, surroundings
+from necc_casadi.designs.design import Design
+
+__all__ = ["certify"]
+
+
+Report = Callable[[str, float], None]
+
+
+def certify(design: Design, *, region: bool = True, report: Report | None = None) -> Certificate:
+    """Prove what can be proved about a design; `report` hears (stage, share done)."""
+    told = report or (lambda stage, share: None)
+    if not self_test():
+        claim = Claim("arithmetic", False, "this machine does not round as IEEE 754 says")
+        return _collect(design, (claim,), Equilibrium(design.z_bar, math.inf), None)
+    told("equilibrium", 0.0)
+    potential = Potential(design)
+    equilibrium = prove_equilibrium(potential)
+    told("decrease", 0.5)
+    claims, stability = _local(potential, equilibrium)
+    certificate = _collect(design, claims, equilibrium, stability)
+    if not region:
+        return certificate
+    told("region", 0.0)
+    certificate = _extended(certificate, potential, equilibrium)
+    told("region", 1.0)
+    return certificate
+
+
+def _local(potential: Potential, equilibrium: Equilibrium) -> tuple[tuple[Claim, ...], str | None]:
+    """What holds near z̄, and the kind of stability that follows."""
+    design = potential.design
+    claims = (_equilibrium_claim(equilibrium), *prove_decrease(design))
+    attraction = prove_attraction(potential, equilibrium, claims)
+    if not (equilibrium.proved and claims[-1].holds):
+        return (*claims, attraction), None
+    if attraction.holds:
+        return (*claims, attraction), "asymptotic"
+    only_stable = prove_only_stable(design)
+    if only_stable is None:
+        return (*claims, attraction), None
+    return (*claims, only_stable), "stable"
+
+
+def _extended(
+    certificate: Certificate, potential: Potential, equilibrium: Equilibrium
+) -> Certificate:
+    """The certificate with the region, the input limits and the whole space."""
+    design, stability = potential.design, certificate.stability
+    if stability is None:
+        missing = Claim("region", False, "no region without a proof of stability")
+        return replace(certificate, claims=(*certificate.claims, missing))
+    proof = prove_region(potential, equilibrium)
+    everywhere = _global_claim(design, stability)
+    # the whole space is a region: where it is proved, a level set in the domain may be missing
+    needed = proof.region is not None or not everywhere.holds
+    claims = [_region_claim(design, proof, stability)] if needed else []
+    level_u = None
+    if design.loop.plant.u_limits is not None:
+        level_u = _input_level(design, proof, equilibrium)
+        claims.append(_limits_claim(design, proof, level_u))
+    found = replace(
+        certificate,
+        claims=(*certificate.claims, *claims, everywhere),
+        is_global=everywhere.holds,
+    )
+    if proof.region is None:
+        return found
+    return replace(
+        found,
+        level=proof.region.level,
+        level_u=level_u,
+        limited_by=proof.limited_by(design.loop.states),
+        domain_share=proof.shares["domain_share"],
+        region=proof.region,
+    )
+
+
+def _global_claim(design: Design, stability: str) -> Claim:
+    found = GlobalStability("z̄ is not proved to attract")
+    if stability == "asymptotic":
+        found = prove_global_stability(design, design.momenta)
+    if found.missing is not None:
+        return Claim("global", False, f"{statements.UNPROVED['global']}{found.missing}")
+    data = {"resting": list(found.resting), "bends": list(found.bends)}
+    return Claim("global", True, statements.GLOBAL, data)
+
+
+def _region_claim(design: Design, proof: RegionProof, stability: str) -> Claim:
+    limit = proof.limited_by(design.loop.states)
+    if proof.region is None or proof.limit is None:
+        return Claim("region", False, f"{statements.UNPROVED['region']} is proved: {limit}")
+    follows = statements.STABLE
+    if stability == "asymptotic":
+        resting = [i for i in range(design.loop.n) if i not in proof.region.active]
+        every = largest_invariant_set_is_critical(
+            design, resting, surroundings(design, proof.region)
+        )
+        follows = statements.CONVERGES if every else statements.INVARIANT
+    text = statements.region(proof.region.level, proof.shares["domain_share"], limit, follows)
+    return Claim("region", True, text, {**proof.shares, "limit": proof.limit.data})
+
+
+def _input_level(design: Design, proof: RegionProof, equilibrium: Equilibrium) -> float | None:
+    if proof.region is None:
+        return None
+    active = proof.region.active
+    reduced = Potential(design, tuple(i for i in range(design.loop.n) if i not in active))
+    bottom = reduced.jet(equilibrium.box[list(active)][None, :]).value.hi[0]
+    return input_level(reduced, proof.region, float(bottom))
+
+
+def _limits_claim(design: Design, proof: RegionProof, level_u: float | None) -> Claim:
+    limits = design.loop.plant.u_limits or ()
+    if proof.region is None or level_u is None:
+        text = f"{statements.UNPROVED['input_limits']}{statements.ranges(limits)}"
+        return Claim("input_limits", False, text)
+    text = statements.input_limits(limits, level_u, proof.region.level)
+    return Claim("input_limits", True, text)
+
+
+def _equilibrium_claim(found: Equilibrium) -> Claim:
+    data = {"gradient_norm": found.gradient_norm}
+    if found.mu is None or found.radius is None or found.bound is None:
+        text = "no ball around z* is proved to hold exactly one critical point of V"
+        return Claim("equilibrium", False, text, data)
+    text = statements.equilibrium(found.radius, found.mu, found.bound)
+    return Claim("equilibrium", True, text, data)
+
+
+def _collect(
+    design: Design, claims: tuple[Claim, ...], found: Equilibrium, stability: str | None
+) -> Certificate:
+    return Certificate(
+        design_hash=design.hash,
+        claims=claims,
+        z_bar=tuple(float(v) for v in found.z_bar),
+        enclosure=found.enclosure,
+        mu=found.mu,
+        radius=found.radius,
+        bound_rigorous=found.bound,
+        stability=stability,
+    )

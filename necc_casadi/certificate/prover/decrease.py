@@ -1,0 +1,90 @@
+"""V decreases along the damped loop, by algebra, and z̄ attracts, by a Lyapunov inequality.
+
+V̇ = −∇Vᵀ Rcl ∇V / Φ₁ − ∇Vᵀ 𝒢𝒟𝒢ᵀ ∇V ≤ 0 everywhere, given ∇Cᵀ(Jcl − Rcl) = 0, Φ₁ > 0, Rcl ⪰ 0 and
+D, Dc ≻ 0. Each of the four is proved here again from the design's own expressions and numbers.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import sympy as sp
+
+from necc_casadi.certificate.claims import statements
+from necc_casadi.certificate.claims.claim import Claim
+from necc_casadi.certificate.prover.arithmetic.definite import exactly_positive_definite
+from necc_casadi.designs.design import Design
+from necc_casadi.symbolic.derivatives import gradient
+from necc_casadi.symbolic.expressions import to_text
+from necc_casadi.symbolic.identifiers import identifiers
+from necc_casadi.symbolic.semidefinite import is_positive_semidefinite
+from necc_casadi.symbolic.zero import is_zero
+
+__all__ = ["casimir_texts", "prove_decrease"]
+
+
+def prove_decrease(design: Design) -> tuple[Claim, ...]:
+    """The four conditions of V̇ ≤ 0, then V̇ ≤ 0 itself."""
+    conditions = (_casimir(design), _structure(design), _slope(design), _damping(design))
+    missing = [claim.name for claim in conditions if not claim.holds]
+    for_want = f"V is not proved to decrease, for want of: {', '.join(missing)}"
+    return *conditions, Claim("decrease", not missing, for_want if missing else statements.DECREASE)
+
+
+def _casimir(design: Design) -> Claim:
+    """The Casimir condition (eq. CasimirCondition) for every closed form that the design uses."""
+    loop = design.loop
+    left = [
+        c
+        for c in design.casimirs.functions
+        if not all(is_zero(entry) for entry in loop.M.T * gradient(c, loop.z))
+    ]
+    if left:
+        return Claim("casimir", False, f"∇Cᵀ(Jcl − Rcl) = 0 is not proved for {left[0]}")
+    return Claim("casimir", True, statements.casimir(casimir_texts(design)))
+
+
+def casimir_texts(design: Design) -> list[str]:
+    """The closed forms as design.json writes them."""
+    loop = design.loop
+    names = [sp.Symbol(name, real=True) for name in identifiers(loop.states)]
+    rename = dict(zip(loop.z, names, strict=True))
+    return [to_text(sp.sympify(c).xreplace(rename)) for c in design.casimirs.functions]
+
+
+def _structure(design: Design) -> Claim:
+    plant, controller = design.loop.plant, design.loop.controller
+    proved = {
+        "J = −Jᵀ": _is_skew(plant.J),
+        "R = Rᵀ ⪰ 0": _is_dissipative(plant.R),
+        "Jc = −Jcᵀ": _is_skew(controller.Jc),
+        "Rc = Rcᵀ ⪰ 0": _is_dissipative(controller.Rc),
+    }
+    missing = [name for name, holds in proved.items() if not holds]
+    if missing:
+        return Claim("structure", False, f"held at sampled points only: {', '.join(missing)}")
+    return Claim("structure", True, statements.STRUCTURE)
+
+
+def _is_skew(J: sp.Matrix) -> bool:
+    return all(is_zero(entry) for entry in J + J.T)
+
+
+def _is_dissipative(R: sp.Matrix) -> bool:
+    symmetric = all(is_zero(entry) for entry in R - R.T)
+    return symmetric and is_positive_semidefinite(sp.Matrix(R)) is True
+
+
+def _slope(design: Design) -> Claim:
+    phi = design.form.phi
+    if phi is None:
+        return Claim("slope", True, statements.slope(None), {"slope": 1.0})
+    holds = phi.delta > 0 and bool(np.isfinite(design.weights).all())
+    delta = float(phi.delta)
+    return Claim("slope", holds, statements.slope(delta), {"slope": delta})
+
+
+def _damping(design: Design) -> Claim:
+    wrong = [name for name in ("D", "Dc") if not exactly_positive_definite(getattr(design, name))]
+    if wrong:
+        return Claim("damping", False, f"{' and '.join(wrong)} not positive definite")
+    return Claim("damping", True, statements.DAMPING)

@@ -1,0 +1,157 @@
+"""Input limits: the largest level c_u ≤ c at which |u| provably stays within them on Ω.
+
+u = −Gcᵀ∇Hc − D Gᵀ ∂V/∂x (Lemma 1). With s the momenta of H = ½ sᵀA(y)s + U(y) and y the other
+states, V(y, s) ≥ V(y, 0) + ½ δ sᵀAs, so {V ≤ c} holds |wᵀAs|² ≤ 2(c − V(y, 0)) wᵀAw/δ for every w:
+the share of the momenta in u is bounded on each cell of y by the room that is left below c.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import sympy as sp
+
+from necc_casadi.arrays import Vector
+from necc_casadi.certificate.claims.regions import ChartRegion, EllipsoidRegion, GridRegion, Region
+from necc_casadi.certificate.prover.arithmetic.boxes import matrix_enclosure
+from necc_casadi.certificate.prover.arithmetic.intervals import Interval, concatenate, matmul, point
+from necc_casadi.certificate.prover.arithmetic.networks import network_jet
+from necc_casadi.certificate.prover.arithmetic.potential import Potential
+from necc_casadi.certificate.prover.region.grid import boxes_of
+from necc_casadi.certificate.prover.region.shells import ellipsoid_cells
+
+__all__ = ["input_level"]
+
+
+#: Rounds in which the cells that limit c_u are halved, and cells per round.
+_ROUNDS, _WORST = 24, 128
+
+
+#: Share of the height above V(z̄) that is kept, so that other arithmetic can confirm it.
+_EASED = 0.99
+
+
+def input_level(potential: Potential, region: Region, bottom: float) -> float | None:
+    """The largest proved c_u ≤ c above `bottom`, an upper bound of V(z̄); None where there is none.
+
+    Where momenta enter u otherwise than through wᵀAs, and for regions in the coordinates (c, ξ),
+    nothing is claimed.
+    """
+    if isinstance(region, ChartRegion) or not _covered(potential):
+        return None
+    cells = _cells(region)
+    levels = _levels(potential, cells)
+    for _ in range(_ROUNDS):
+        worst = np.argsort(levels)[:_WORST]
+        if _eased(levels, bottom) >= region.level:
+            break
+        pieces = _halved(cells[worst], cells)
+        others = np.setdiff1d(np.arange(len(levels)), worst)
+        levels = np.concatenate([levels[others], _levels(potential, pieces)])
+        cells = concatenate(cells[others], pieces)
+    level = min(_eased(levels, bottom), region.level)
+    return level if level > bottom else None
+
+
+def _eased(levels: Vector, bottom: float) -> float:
+    return bottom + _EASED * (float(levels.min()) - bottom)
+
+
+def _covered(potential: Potential) -> bool:
+    """Whether momenta enter u through wᵀAs alone, with G a function of the other states."""
+    loop, resting = potential.design.loop, potential.resting
+    if not resting:
+        return True
+    s = [loop.z[i] for i in resting]
+    driven = [i for i in potential.active if i < loop.plant.n and any(loop.plant.G[i, :])]
+    A = sp.hessian(loop.plant.H, s)
+    moved = any(A.has(loop.z[i]) for i in driven)
+    through_phi = bool(driven) and potential.design.form.phi is not None
+    return not (loop.plant.G.has(*s) or moved or through_phi)
+
+
+def _cells(region: GridRegion | EllipsoidRegion) -> Interval:
+    """Boxes of y that cover the component, (B, active)."""
+    if isinstance(region, EllipsoidRegion):
+        parts = (region.center, region.L, region.step)
+        center, L, step = (np.array(v, float) for v in parts)
+        return ellipsoid_cells(center, L, region.radii[-1], step)[0]
+    return boxes_of(region.grid, np.flatnonzero(region.mask.ravel()))
+
+
+def _halved(boxes: Interval, like: Interval) -> Interval:
+    """Each box cut across its side that is the longest against the first cells."""
+    sides = boxes.hi - boxes.lo
+    axis = np.argmax(sides / (like.hi - like.lo).max(0), axis=1)
+    rows = np.arange(len(axis))
+    middle = boxes.mid[rows, axis]
+    lo, hi = boxes.lo.copy(), boxes.hi.copy()
+    lo[rows, axis], hi[rows, axis] = middle, middle
+    return concatenate(Interval(boxes.lo, hi), Interval(lo, boxes.hi))
+
+
+def _levels(potential: Potential, cells: Interval) -> Vector:
+    """Level below which u stays within its limits on each cell; −∞ where nothing is known, (B,)."""
+    with np.errstate(all="ignore"):
+        jet = potential.jet(cells)
+        rest = -_controller_output(potential, cells) - _passive_output(potential, cells, jet.grad)
+        swing = _momentum_gain(potential, cells)
+        lo, hi = np.array(potential.design.loop.plant.u_limits, float).T
+        room = Interval(np.minimum((hi - rest).lo, (rest - lo).lo), np.full(rest.shape, np.inf))
+        margin = np.where(room.lo >= 0, room.lo, np.nan)
+        height = (point(margin).square() / point(swing.hi)).lo
+        height = np.where((swing.hi <= 0) & (margin >= 0), np.inf, height)
+        height = np.where(room.lo < 0, 0.0, height).min(-1)  # such a cell must stay out of reach
+        bottom = jet.value.lo
+        level = (point(bottom) + point(height)).lo
+    return np.where(np.isfinite(bottom) & ~np.isnan(height), level, -np.inf)
+
+
+def _controller_output(potential: Potential, cells: Interval) -> Interval:
+    """Gcᵀ∇Hc, (B, m)."""
+    design = potential.design
+    controller = design.loop.controller
+    xi = cells[:, -controller.nc :]
+    ends = np.concatenate([xi.lo, xi.hi], axis=1)
+    unique, inverse = np.unique(ends, axis=0, return_inverse=True)
+    boxes = Interval(unique[:, : controller.nc], unique[:, controller.nc :])
+    weights = design.form.split(design.weights)[0]
+    slope = network_jet(design.form.hc, weights, boxes).grad
+    Gc = matrix_enclosure(sp.Matrix(controller.Gc.T), list(controller.xi), boxes)
+    return matmul(Gc, slope[..., None])[..., 0][inverse.ravel()]
+
+
+def _passive_output(potential: Potential, cells: Interval, gradient: Interval) -> Interval:
+    """D Gᵀ ∂V/∂x at rest, from the plant states that are not momenta, (B, m)."""
+    rows = [k for k, i in enumerate(potential.active) if i < potential.design.loop.plant.n]
+    states = [potential.active[k] for k in rows]
+    DG = _damped(potential, states, cells)
+    return matmul(DG, gradient[:, rows][..., None])[..., 0]
+
+
+def _momentum_gain(potential: Potential, cells: Interval) -> Interval:
+    """2Φ₁² wᵀAw/δ for the rows w of D Gᵀ at the momenta: u moves by √(this · room), (B, m)."""
+    loop, resting, m = potential.design.loop, potential.resting, potential.design.loop.plant.m
+    if not resting:
+        return point(np.zeros((cells.shape[0], m)))
+    A = sp.hessian(loop.plant.H, [loop.z[i] for i in resting])
+    w = _damped(potential, resting, cells)
+    stiff = matrix_enclosure(A, [loop.z[i] for i in potential.active], cells)
+    product = (matmul(w, stiff) * w).sum()
+    product = Interval(np.maximum(product.lo, 0.0), product.hi)  # A ≻ 0 on the domain
+    form = potential.design.form
+    if form.phi is None:
+        return product * 2.0
+    a, b, _, _ = np.split(form.split(potential.design.weights)[-1], 4)
+    delta = float(form.phi.delta)
+    steepest = (point(a) + point(b)).exp().sum() + delta
+    return product * steepest.square() * 2.0 / delta
+
+
+def _damped(potential: Potential, states: Sequence[int], cells: Interval) -> Interval:
+    """D Gᵀ at some of the plant states, (B, m, states)."""
+    design = potential.design
+    G = sp.Matrix(design.loop.plant.G.extract(list(states), range(design.loop.plant.m)))
+    symbols = [design.loop.z[i] for i in potential.active]
+    return matmul(design.D, matrix_enclosure(sp.Matrix(G.T), symbols, cells))

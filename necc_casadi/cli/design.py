@@ -1,0 +1,243 @@
+"""The commands necc-design, necc-certify, necc-simulate: arguments in, text and exit codes out."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import click
+
+from necc_casadi.cli.options import (
+    Positive,
+    form_option,
+    output_option,
+    read_numbers,
+    read_range,
+    read_widths,
+    region_option,
+    solver_option,
+    task_option,
+)
+from necc_casadi.cli.terminal import GroupedCommand, NamedPath, Progress, columns, run
+
+__all__ = ["design_command"]
+
+
+@click.command("necc-design", cls=GroupedCommand)
+@click.argument("model", type=NamedPath())
+@task_option(
+    "--target",
+    metavar="TARGET",
+    help="Set-point: pi/4, q=pi/4, q1=pi/4,q2=-pi/3 or all states "
+    "in order; states not given are solved from the equilibrium condition. Default: `target` in "
+    "the model file.",
+)
+@task_option(
+    "--param", multiple=True, metavar="NAME=VALUE", help="Override a parameter of the model."
+)
+@task_option("--check", is_flag=True, help="Stop after the symbolic verdict: no training.")
+@form_option(
+    "--paper",
+    is_flag=True,
+    help="The published form: plain tanh MLPs 64 and 32, Φ = H + Hc + C, a = 0.5, D = 5, Dc = 6.",
+)
+@form_option(
+    "--hidden-k",
+    metavar="W,W,…",
+    callback=read_widths,
+    help="Widths of K's hidden layers.  [default: 64]",
+)
+@form_option(
+    "--hidden-h",
+    metavar="W,W,…",
+    callback=read_widths,
+    help="Widths of Hc's hidden layers.  [default: 32]",
+)
+@form_option(
+    "--activation", type=click.Choice(["tanh", "sin", "squareplus"]), help="[default: tanh]"
+)
+@form_option(
+    "--casimir-form",
+    type=click.Choice(["sum", "joint"]),
+    help="C = K(Σ βᵢ(cᵢ)) or K(c₁, …, c_r).  [default: joint; sum with --paper]",
+)
+@form_option(
+    "--global",
+    "convex",
+    is_flag=True,
+    help="Quadratic parts stiff enough to make V convex everywhere, where the plant allows it.",
+)
+@form_option(
+    "--learn-casimir",
+    is_flag=True,
+    help="Where closed forms are missing: a network C(z) that is a Casimir approximately. "
+    "Nothing is certified from it.",
+)
+@form_option(
+    "--phi",
+    type=click.Choice(["sum", "neural"]),
+    help="Φ = H + Hc + C, or a network with Φ₁ > 0 by construction.  [default: sum]",
+)
+@form_option(
+    "--structure",
+    metavar="NAME",
+    help="A controller structure that the tool offered in a note, e.g. resonator.",
+)
+@region_option(
+    "--shape",
+    type=click.Choice(["none", "regulariser", "level"]),
+    default="none",
+    show_default=True,
+    help="What to ask of V over samples of the domain, beside the conditions at z*. level: the "
+    "largest share of the domain below a level that its boundary is not below. regulariser: "
+    "‖z − z*‖² ≤ γ (V(z) − V(z*)) on average. For Φ = H + Hc + C in the joint form.",
+)
+@region_option(
+    "--gamma",
+    type=Positive(),
+    help="γ of the regulariser, in natural units: the smaller, the steeper V.  [default: 1]",
+)
+@solver_option(
+    "--a",
+    type=Positive(),
+    help="Curvature asked of ∇²V(z*).  [default: half of the plant's own; 0.5 with --paper]",
+)
+@solver_option(
+    "--seed",
+    type=click.IntRange(min=0),
+    default=0,
+    show_default=True,
+    help="Seed of the first start.",
+)
+@solver_option(
+    "--starts",
+    type=click.IntRange(1, 1000),
+    default=1,
+    show_default=True,
+    help="Random starts; the best is kept.",
+)
+@solver_option(
+    "--damping",
+    metavar="NUMBERS",
+    callback=read_numbers,
+    help="D: one number, or one per input.  [default: chosen]",
+)
+@solver_option(
+    "--controller-damping",
+    metavar="NUMBERS",
+    callback=read_numbers,
+    help="Dc, likewise.  [default: chosen]",
+)
+@output_option("--out", type=NamedPath(), help="Folder to write.  [default: <model>-design]")
+@output_option(
+    "--json", "as_json", is_flag=True, help="One JSON object on stdout, nothing else there."
+)
+@output_option("--no-plots", is_flag=True, help="Draw no figures.")
+@output_option(
+    "--sweep-a",
+    metavar="LO:HI:N",
+    callback=read_range,
+    help="Also design and certify for N values of a; draw distance, bounds and region against a.",
+)
+@output_option(
+    "--real",
+    type=click.Choice(["double", "float"]),
+    default="double",
+    show_default=True,
+    help="Number type of the C controller.",
+)
+@output_option(
+    "--integrator",
+    type=click.Choice(["heun", "euler", "rk4"]),
+    default="heun",
+    show_default=True,
+    help="How the C controller advances its state over a sample.",
+)
+@output_option("--fmu", is_flag=True, help="Also an FMI 2.0 co-simulation unit.")
+@output_option("--mex", is_flag=True, help="Also a MEX source for MATLAB.")
+@output_option(
+    "--sample-time",
+    type=Positive(),
+    help="Sample time of the C controller, s.",
+)
+@output_option("--debug", is_flag=True, help="Show IPOPT's iterations and tracebacks.")
+@click.version_option(package_name="necc-casadi", prog_name="necc-design")
+def _design(model: Path, **options: Any) -> int:
+    """Design a certified energy-Casimir controller for the plant in MODEL.
+
+    MODEL is a Python file that defines x, J, R, G and H with sympy. It is run as your own code.
+
+    \b
+    Examples:
+      necc-design pendulum.py --target pi/4
+      necc-design pendulum.py --target q=pi/4 --check
+      necc-design pendulum.py --target pi/4 --paper --sweep-a 0.1:1.0:10
+
+    \b
+    Exit codes:
+      0  every claim is proved (with --check: the target is assignable)
+      1  a fault of this program
+      2  bad usage, model file or target
+      3  refused with a proof: not assignable with this controller structure
+      4  undecided, or the solver or a certificate fell short; results are kept
+      130  interrupted
+
+    With --json, 1, 2 and 130 print {"status": "error", "error": {"code": …, "message": …}}; the
+    code word of 1 is internal, that of 130 interrupted.
+    """
+    progress = Progress()
+    with progress.shown():
+        from necc_casadi.pipeline.request import Request
+        from necc_casadi.pipeline.run import run_design
+        from necc_casadi.report.to_json import to_json
+        from necc_casadi.report.to_text import summary
+
+        form = (
+            "hidden_k",
+            "hidden_h",
+            "activation",
+            "casimir_form",
+            "phi",
+            "a",
+            "convex",
+            "learn_casimir",
+            "shape",
+            "gamma",
+        )
+        chosen = {key: options[key] for key in form if options[key] is not None}
+        chosen |= {key: options[key] for key in ("seed", "starts")} | {"verbose": options["debug"]}
+        passed = (
+            "target",
+            "param",
+            "check",
+            "paper",
+            "damping",
+            "controller_damping",
+            "sweep_a",
+            "real",
+            "sample_time",
+            "structure",
+            "integrator",
+            "fmu",
+            "mex",
+        )
+        request = Request(
+            model=model,
+            out=options["out"] or Path(f"{model.stem}-design"),
+            chosen=chosen,
+            plots=not options["no_plots"],
+            **{key: options[key] for key in passed},
+        )
+        found = run_design(request, progress.say)
+    if options["as_json"]:
+        click.echo(json.dumps(to_json(found), ensure_ascii=False, allow_nan=False))
+    else:
+        click.echo(summary(found, columns()))
+    return found.exit_code
+
+
+def design_command() -> None:
+    """Entry point of ``necc-design``."""
+    sys.exit(run(_design))

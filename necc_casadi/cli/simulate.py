@@ -1,0 +1,132 @@
+"""necc-simulate: one response of a saved design."""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from necc_casadi.cli.options import Positive, output_option, read_numbers, task_option
+from necc_casadi.cli.terminal import GroupedCommand, NamedPath, run
+from necc_casadi.errors import OptionError
+
+if TYPE_CHECKING:
+    from necc_casadi.designs.design import Design
+    from necc_casadi.simulation.responses import Trajectory
+
+__all__ = ["simulate_command"]
+
+
+@click.command("necc-simulate", cls=GroupedCommand)
+@click.argument("out", type=NamedPath())
+@task_option(
+    "--x0",
+    metavar="NUMBERS",
+    callback=read_numbers,
+    help="Plant state to start from, all states in order.  [default: "
+    "the middle between target and domain edge]",
+)
+@task_option(
+    "--xi0",
+    metavar="NUMBERS",
+    callback=read_numbers,
+    help="Controller state to start from.  [default: ξ*]",
+)
+@task_option("--time", "horizon", type=Positive(), help="Horizon, s.")
+@output_option(
+    "--points",
+    type=click.IntRange(2, 1_000_000),
+    default=501,
+    show_default=True,
+    help="Number of output times.",
+)
+@output_option(
+    "--csv",
+    type=NamedPath(dir_okay=False),
+    help="Write the response to a CSV file (- for stdout).",
+)
+@output_option("--plot", type=NamedPath(dir_okay=False), help="Draw it to a PNG file.")
+@output_option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
+@output_option("--debug", is_flag=True, help="Show tracebacks.")
+@click.version_option(package_name="necc-casadi", prog_name="necc-simulate")
+def _simulate(out: Path, **options: Any) -> int:
+    """Simulate the design in the folder OUT that necc-design wrote.
+
+    \b
+    Examples:
+      necc-simulate pendulum-design --x0 0,0
+      necc-simulate pendulum-design --x0 -1,0.5 --time 20 --csv response.csv
+    """
+    if options["as_json"] and str(options["csv"]) == "-":
+        raise OptionError(
+            "usage", "--csv - and --json both want stdout", "Name a file: --csv response.csv."
+        )
+    from necc_casadi.designs.design import Design
+    from necc_casadi.files import write_text
+    from necc_casadi.simulation.responses import simulate
+
+    made = Design.load(out)
+    n = made.loop.plant.n
+    names = {"x0": made.loop.plant.states, "xi0": made.loop.controller.states}
+    for key, states in names.items():
+        if options[key] is not None and len(options[key]) != len(states):
+            raise OptionError(
+                "usage",
+                f"--{key}: {len(states)} number(s) are needed, not {len(options[key])}",
+                f"Give one for each of {', '.join(states)}.",
+            )
+    x0 = options["x0"] or tuple((made.z_star + made.domain.hi)[:n] / 2)
+    xi0 = options["xi0"] or tuple(made.xi_star)
+    response = simulate(made, x0, xi0, time=options["horizon"], points=options["points"])
+    text = response.csv(made.loop.states)
+    if options["csv"] is not None and str(options["csv"]) != "-":
+        write_text(options["csv"], text)
+    if options["plot"] is not None:
+        from necc_casadi.report.figures import responses_figure, write_figure
+
+        write_figure(responses_figure(made, [response]), options["plot"])
+    if str(options["csv"]) == "-":
+        click.echo(text, nl=False)
+    elif options["as_json"]:
+        click.echo(json.dumps(_response_json(made, response)))
+    else:
+        click.echo(_response_text(made, response))
+    return 0 if response.complete else 4
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None
+
+
+def _response_json(made: Design, response: Trajectory) -> dict[str, Any]:
+    return {
+        "states": list(made.loop.states),
+        "t_end": float(response.t[-1]),
+        "z_end": [_finite(float(v)) for v in response.z[-1]],
+        "settling_time": _finite(response.settling_time),
+        "peak_input": _finite(response.peak_input),
+        "complete": response.complete,
+    }
+
+
+def _response_text(made: Design, response: Trajectory) -> str:
+    end = ", ".join(f"{s} = {v:.6g}" for s, v in zip(made.loop.states, response.z[-1], strict=True))
+    settled = (
+        f"settles within 2 % in {response.settling_time:.4g} s"
+        if response.converged
+        else "has not settled"
+    )
+    stopped = "" if response.complete else "\nThe integrator gave up: the response may diverge."
+    return (
+        f"{made.loop.plant.name}: {settled}; peak |u| {response.peak_input:.4g}\n"
+        f"at t = {response.t[-1]:.4g} s: {end}{stopped}"
+    )
+
+
+def simulate_command() -> None:
+    """Entry point of ``necc-simulate``."""
+    sys.exit(run(_simulate))

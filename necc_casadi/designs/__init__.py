@@ -1,0 +1,1 @@
+"""The finished design: a value, saved and loaded bit for bit."""

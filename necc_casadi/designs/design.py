@@ -1,0 +1,151 @@
+"""Design: everything a finished design is, saved and loaded without ``eval`` and without pickle.
+
+``design.json`` holds expressions as text and every float as an exact hexadecimal literal, so that a
+loaded design is the saved one bit for bit.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import sympy as sp
+
+from necc_casadi.arrays import Vector
+from necc_casadi.casimirs.momenta import find_momenta
+from necc_casadi.designs.layout import BROKEN, DESIGN_FORMAT, check_whole, from_dict, to_dict
+from necc_casadi.designs.parts import Parts
+from necc_casadi.errors import OutputError
+from necc_casadi.files import write_text
+from necc_casadi.lyapunov.lyapunov import LyapunovFunction, make_terms
+from necc_casadi.model.domain import Domain, domain_of
+
+__all__ = ["Design"]
+
+
+@dataclass(frozen=True, eq=False)
+class Design(Parts):
+    """A finished design: model, Casimirs, verdict, weights, equilibrium and damping."""
+
+    @cached_property
+    def domain(self) -> Domain:
+        """The box of states (n + nc,) in which the design is looked at."""
+        return domain_of(self.loop, self.z_star)
+
+    @cached_property
+    def momenta(self) -> tuple[int, ...]:
+        """Indices of the plant states that are momenta; see :func:`find_momenta`."""
+        return find_momenta(self.loop, self.casimirs, self.x_star)
+
+    @cached_property
+    def lyapunov(self) -> LyapunovFunction:
+        """V, its derivatives and the control law as CasADi functions."""
+        terms = make_terms(self.loop, self.casimirs)
+        return LyapunovFunction(terms, self.form, self.weights, self.D, self.Dc)
+
+    @cached_property
+    def z_star(self) -> Vector:
+        """(x*, ξ*) in double precision, (n + nc,)."""
+        return np.concatenate([[float(sp.N(v, 20)) for v in self.x_star], self.xi_star])
+
+    def control(self, x: npt.ArrayLike, xi: npt.ArrayLike) -> tuple[Vector, Vector]:
+        """The controller: plant state (n,), controller state (nc,) -> u (m,), ξ̇ (nc,)."""
+        u, xi_dot = self.lyapunov.control_law(np.asarray(x, float), np.asarray(xi, float))
+        return np.asarray(u, float).ravel(), np.asarray(xi_dot, float).ravel()
+
+    def V(self, z: npt.ArrayLike) -> float:
+        """The Lyapunov function at z = (x, ξ), (n + nc,)."""
+        return float(self.lyapunov.V(np.asarray(z, float)))
+
+    @cached_property
+    def z_bar(self) -> Vector:
+        """The minimum of V near z*, by Newton's method on ∇V, (n + nc,)."""
+        z = self.z_star
+        for _ in range(20):
+            g = np.asarray(self.lyapunov.gradient(z), float).ravel()
+            step = np.linalg.lstsq(np.asarray(self.lyapunov.hessian(z), float), g, rcond=None)[0]
+            z = z - step
+            if np.linalg.norm(step) <= 4 * np.finfo(float).eps * max(1.0, float(np.linalg.norm(z))):
+                break
+        return z
+
+    def linearise(self) -> tuple[Vector, Vector, Vector, Vector]:
+        """State-space matrices (A, B, C, D) of the damped loop at z̄, ready for python-control.
+
+        Inputs are the ports (v, v_c) added to the damping, outputs are (y, y_c):
+        A (n + nc)², B (n + nc) × 2m, C 2m × (n + nc), D = 0.
+        """
+        z = self.z_bar
+        values = dict(zip(self.loop.z, z, strict=True))
+        B = np.array(self.loop.ports.subs(values).evalf(), dtype=float)
+        return (
+            self.lyapunov.linearisation(z),
+            B,
+            self._port_jacobian(z),
+            np.zeros((B.shape[1],) * 2),
+        )
+
+    def _port_jacobian(self, z: Vector) -> Vector:
+        import casadi as ca
+
+        V, terms = self.lyapunov, self.lyapunov.terms
+        s = ca.MX.sym("z", z.size)
+        x, xi = s[: terms.n], s[terms.n :]
+        s_c = ca.MX.sym("xi", terms.nc)
+        energy = self.form.controller_energy(ca.DM(self.weights))(s_c)
+        grad_Hc = ca.Function("grad_Hc", [s_c], [ca.gradient(energy, s_c)])
+        y = ca.vertcat(V.terms.G(x).T @ terms.grad_H(x), terms.Gc(xi).T @ grad_Hc(xi))
+        return np.asarray(ca.Function("C", [s], [ca.jacobian(y, s)])(z), float)
+
+    @cached_property
+    def text(self) -> str:
+        """The exact content of design.json."""
+        return json.dumps(to_dict(self), indent=1, ensure_ascii=False) + "\n"
+
+    @cached_property
+    def hash(self) -> str:
+        """SHA-256 of design.json."""
+        return hashlib.sha256(self.text.encode()).hexdigest()
+
+    def save(self, path: str | Path) -> Path:
+        """Write design.json at `path`, whole or not at all."""
+        return write_text(Path(path), self.text)
+
+    @classmethod
+    def load(cls, path: str | Path) -> Design:
+        """Read a design.json, or the folder that holds one.
+
+        Raises
+        ------
+        OutputError
+            When there is none, or it is not a design of this format.
+        """
+        path = Path(path)
+        path = path / "design.json" if path.is_dir() else path
+        try:
+            text = path.read_text(encoding="utf-8")
+        except (OSError, UnicodeDecodeError) as problem:
+            reason = problem.strerror if isinstance(problem, OSError) else "not UTF-8 text"
+            raise OutputError(
+                "output", f"{path} cannot be read: {reason}", "Name a folder of necc-design."
+            ) from None
+        return cls.from_text(text, str(path))
+
+    @classmethod
+    def from_text(cls, text: str, label: str = "design.json") -> Design:
+        """Rebuild a design from the content of design.json; `label` names it in errors."""
+        remedy = f"Design it again; this version reads format {DESIGN_FORMAT}."
+        try:
+            data = json.loads(text)
+            if data.get("format") != DESIGN_FORMAT:
+                raise OutputError("output", f"{label} has format {data.get('format')!r}", remedy)
+            parts = from_dict(data)
+            check_whole(parts, data)
+            return cls(**vars(parts))
+        except BROKEN as problem:
+            raise OutputError("output", f"{label} is not a design: {problem!r}", remedy) from None

@@ -1,0 +1,21 @@
+"""ε of a finished design (eq. FinalTrainLoss) and the bound ε/(a − ε) (eq. ErrorUpperBound)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from necc_casadi.designs.design import Design
+
+__all__ = ["gradient_and_hessian", "loss"]
+
+
+def loss(design: Design) -> float:
+    """ε of eq. Loss, recomputed from the stored weights."""
+    g, hessian = gradient_and_hessian(design)
+    return float(np.linalg.norm(g) + max(0.0, design.a - np.linalg.eigvalsh(hessian)[0]))
+
+
+def gradient_and_hessian(design: Design) -> tuple[np.ndarray, np.ndarray]:
+    """∇V (N,) and ∇²V (N, N) at z*."""
+    V, z = design.lyapunov, design.z_star
+    return np.asarray(V.gradient(z), float).ravel(), np.asarray(V.hessian(z), float)

@@ -1,0 +1,252 @@
+"""The layout of design.json."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import asdict
+from functools import cache
+from typing import Any
+
+import numpy as np
+import sympy as sp
+
+from necc_casadi.arrays import Vector
+from necc_casadi.casimirs.casimirs import Casimirs
+from necc_casadi.designs.outcome import Residual, Start
+from necc_casadi.designs.parts import Parts
+from necc_casadi.lyapunov.networks import ACTIVATIONS, MonotonePhi, Network
+from necc_casadi.lyapunov.parameterization import Form
+from necc_casadi.model.closed_loop import ClosedLoop
+from necc_casadi.model.controller import Controller
+from necc_casadi.model.entries import Property
+from necc_casadi.model.plant import Plant
+from necc_casadi.symbolic.expressions import parse, to_text
+from necc_casadi.symbolic.identifiers import identifiers
+from necc_casadi.verdict.verdict import Verdict
+
+__all__ = ["BROKEN", "DESIGN_FORMAT", "check_whole", "from_dict", "to_dict"]
+
+
+#: Version of the layout of design.json.
+DESIGN_FORMAT = 1
+
+
+#: What reading a file that is no design can raise.
+BROKEN = (
+    ArithmeticError,
+    AttributeError,
+    LookupError,
+    RecursionError,
+    TypeError,
+    ValueError,
+)
+
+
+def _hex(values: Vector) -> Any:
+    return [_hex(v) for v in values] if np.ndim(values) else float(values).hex()
+
+
+def _unhex(values: Any) -> Vector:
+    if isinstance(values, list):
+        return np.array([_unhex(v) for v in values], dtype=float)
+    return np.float64(float.fromhex(values))  # type: ignore[return-value]
+
+
+def to_dict(design: Parts) -> dict[str, Any]:
+    """The content of design.json."""
+    symbols = identifiers(design.loop.states)
+    rename = {s: sp.Symbol(i, real=True) for s, i in zip(design.loop.z, symbols, strict=True)}
+
+    @cache  # large matrices hold few different entries
+    def entry(value: sp.Expr) -> str:
+        return to_text(value.xreplace(rename))
+
+    def text(value: Any) -> Any:
+        if value is None:
+            return None
+        if isinstance(value, sp.MatrixBase):
+            return [[entry(v) for v in row] for row in value.tolist()]
+        if isinstance(value, (tuple, list)):
+            return [text(v) for v in value]
+        return entry(sp.sympify(value))
+
+    plant, controller = design.loop.plant, design.loop.controller
+    model = {
+        "name": plant.name,
+        "states": list(plant.states),
+        "controller_states": list(controller.states),
+        "symbols": symbols,
+        **{key: text(getattr(plant, key)) for key in ("J", "R", "G", "H")},
+        **{key: text(getattr(controller, key)) for key in ("Jc", "Rc", "Gc")},
+        "units": dict(plant.units),
+        "domain": {name: text(bounds) for name, bounds in plant.domain.items()},
+        "u_limits": plant.u_limits,
+        "properties": [asdict(p) for p in design.loop.properties],
+        "plant_properties": len(plant.properties),
+    }
+    verdict = design.verdict
+    return {
+        "format": DESIGN_FORMAT,
+        "versions": dict(design.versions),
+        "model": model,
+        "model_hash": _model_hash(model),
+        "casimirs": {
+            "functions": text(design.casimirs.functions),
+            "kernel_rank": design.casimirs.kernel_rank,
+            "generic_count": design.casimirs.generic_count,
+            "origins": list(design.casimirs.origins),
+            "count_proved": design.casimirs.count_proved,
+        },
+        "target": text(design.x_star),
+        "verdict": {
+            **{k: getattr(verdict, k) for k in _VERDICT_PLAIN},
+            **{k: text(getattr(verdict, k)) for k in _VERDICT_TEXT},
+        },
+        "form": {
+            "hc": asdict(design.form.hc),
+            "k": asdict(design.form.k),
+            "betas": [asdict(beta) for beta in design.form.betas],
+            "phi": None if design.form.phi is None else asdict(design.form.phi),
+        },
+        "a": float(design.a).hex(),
+        "a_requested": float(design.a_requested).hex(),
+        "xi_star": _hex(design.xi_star),
+        "D": _hex(design.D),
+        "Dc": _hex(design.Dc),
+        "seed": design.seed,
+        "starts": [asdict(start) for start in design.starts],
+        "learned": None if design.learned is None else asdict(design.learned),
+        "weights": _hex(design.weights),
+    }
+
+
+def _model_hash(model: Mapping[str, Any]) -> str:
+    return hashlib.sha256(json.dumps(model, sort_keys=True).encode()).hexdigest()
+
+
+def check_whole(design: Parts, data: Mapping[str, Any]) -> None:
+    """Raise ValueError where the parts of a file do not belong together."""
+    plant, controller, form = design.loop.plant, design.loop.controller, design.form
+    n, nc, m = plant.n, controller.nc, plant.m
+    r = len(design.casimirs.functions)
+    if data["model_hash"] != _model_hash(data["model"]):
+        raise ValueError("the model was edited: its hash differs")
+    shapes = {
+        "weights": (design.weights, (form.size,)),
+        "xi_star": (design.xi_star, (nc,)),
+        "D": (design.D, (m, m)),
+        "Dc": (design.Dc, (m, m)),
+        "target": (np.array([float(sp.N(v, 20)) for v in design.x_star]), (n,)),
+    }
+    for name, (values, shape) in shapes.items():
+        if np.shape(values) != shape or not np.all(np.isfinite(values)):
+            raise ValueError(f"{name} must hold finite numbers of shape {shape}")
+    if min(np.linalg.eigvalsh(damping)[0] for damping in (design.D, design.Dc)) <= 0:
+        raise ValueError("D and Dc must be positive definite")
+    inputs = [form.hc.inputs, form.k.inputs, *[beta.inputs for beta in form.betas]]
+    if inputs != [nc, *([1] * (1 + r) if form.betas else [r])]:
+        raise ValueError("the networks do not fit the controller and its Casimirs")
+    for network in (form.hc, form.k, *form.betas):
+        if network.activation not in ACTIVATIONS or min(network.hidden, default=1) < 1:
+            raise ValueError(f"no such network: {network}")
+
+
+_VERDICT_PLAIN = ("assignable", "reason", "explanation", "a_max", "stability", "witness")
+
+
+_VERDICT_TEXT = ("lam", "xi_star", "invisible", "curvature")
+
+
+def from_dict(data: Mapping[str, Any]) -> Parts:
+    """The parts of the design in design.json; raises one of BROKEN where it holds none."""
+    model = data["model"]
+    names = [*model["states"], *model["controller_states"]]
+    symbols = {
+        identifier: sp.Symbol(name, real=True)
+        for identifier, name in zip(model["symbols"], names, strict=True)
+    }
+
+    @cache  # large matrices hold few different entries
+    def entry(text: str) -> sp.Expr:
+        return parse(text, symbols)
+
+    def read(value: Any) -> Any:
+        if value is None:
+            return None
+        return tuple(read(v) for v in value) if isinstance(value, list) else entry(value)
+
+    def matrix(value: Any, columns: int = 0) -> sp.ImmutableMatrix:
+        rows = [list(read(row)) for row in value]
+        entries = [entry for row in rows for entry in row]
+        return sp.ImmutableMatrix(len(rows), len(rows[0]) if rows else columns, entries)
+
+    z = tuple(symbols.values())
+    n = len(model["states"])
+    properties = tuple(Property(**p) for p in model["properties"])
+    split = model["plant_properties"]
+    plant = Plant(
+        name=model["name"],
+        x=z[:n],
+        J=matrix(model["J"]),
+        R=matrix(model["R"]),
+        G=matrix(model["G"]),
+        H=read(model["H"]),
+        units=model["units"],
+        domain={name: read(bounds) for name, bounds in model["domain"].items()},
+        u_limits=None
+        if model["u_limits"] is None
+        else tuple((float(lo), float(hi)) for lo, hi in model["u_limits"]),
+        properties=properties[:split],
+    )
+    controller = Controller(
+        xi=z[n:],
+        Jc=matrix(model["Jc"]),
+        Rc=matrix(model["Rc"]),
+        Gc=matrix(model["Gc"]),
+        properties=properties[split:],
+    )
+    verdict = data["verdict"]
+    return Parts(
+        loop=ClosedLoop(plant, controller),
+        casimirs=Casimirs(
+            functions=read(data["casimirs"]["functions"]),
+            kernel_rank=data["casimirs"]["kernel_rank"],
+            generic_count=data["casimirs"]["generic_count"],
+            origins=tuple(data["casimirs"]["origins"]),
+            count_proved=data["casimirs"]["count_proved"],
+        ),
+        x_star=read(data["target"]),
+        verdict=Verdict(
+            **{k: verdict[k] for k in _VERDICT_PLAIN},
+            lam=read(verdict["lam"]),
+            xi_star=read(verdict["xi_star"]),
+            invisible=matrix(verdict["invisible"]),
+            curvature=None if verdict["curvature"] is None else matrix(verdict["curvature"]),
+        ),
+        form=_form(data["form"]),
+        weights=_unhex(data["weights"]),
+        xi_star=_unhex(data["xi_star"]),
+        D=_unhex(data["D"]),
+        Dc=_unhex(data["Dc"]),
+        a=float.fromhex(data["a"]),
+        a_requested=float.fromhex(data["a_requested"]),
+        seed=data["seed"],
+        starts=tuple(Start(**start) for start in data["starts"]),
+        learned=None if data["learned"] is None else Residual(**data["learned"]),
+        versions=data["versions"],
+    )
+
+
+def _form(data: Mapping[str, Any]) -> Form:
+    def network(d: Mapping[str, Any]) -> Network:
+        return Network(**{**d, "hidden": tuple(d["hidden"])})
+
+    phi = data["phi"]
+    return Form(
+        hc=network(data["hc"]),
+        k=network(data["k"]),
+        betas=tuple(network(d) for d in data["betas"]),
+        phi=None if phi is None else MonotonePhi(hidden=phi["hidden"], delta=phi["delta"]),
+    )

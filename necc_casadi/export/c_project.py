@@ -1,0 +1,68 @@
+"""Write OUT/c: the controller, a demonstration, a self-test, CMake and a README."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from necc_casadi.designs.design import Design
+from necc_casadi.export.controller import controller
+from necc_casadi.export.demonstration import demonstration
+from necc_casadi.export.header import header
+from necc_casadi.export.readme import readme
+from necc_casadi.export.source import Source
+from necc_casadi.export.templating import fill
+from necc_casadi.export.vectors import vector_table
+from necc_casadi.files import write_text
+
+__all__ = ["export_c"]
+
+
+def export_c(
+    design: Design,
+    folder: Path,
+    *,
+    real: str = "double",
+    sample_time: float | None = None,
+    integrator: str = "heun",
+    certificate_hash: str | None = None,
+    claims: Sequence[str] = (),
+    measured: bool = True,
+) -> list[Path]:
+    """Write the C controller of `design` into `folder` (OUT/c); return the files written.
+
+    Parameters
+    ----------
+    design
+        The finished design.
+    folder
+        Where the files go; each is written whole or not at all.
+    real
+        ``double`` or ``float``: the type of all numbers in the C code.
+    sample_time
+        Seconds between two calls of ``necc_step``, for the header and the demonstration.
+    integrator
+        ``heun``, ``euler`` or ``rk4``: how ξ advances over a sample with x held.
+    certificate_hash, claims
+        Hash of certificate.json and what it claims, for the header.
+    measured
+        Compile and time the code for the README, where a C compiler is.
+
+    Raises
+    ------
+    OptionError
+        For an unknown type or integrator, or a sample time that is not positive.
+    OutputError
+        When a file cannot be written.
+    """
+    source = Source(design, real, sample_time, integrator, certificate_hash, tuple(claims))
+    files = {
+        "necc.h": header(source),
+        "necc.c": controller(source),
+        "main.c": demonstration(source),
+        "test_vectors.h": vector_table(source),
+        "selftest.c": fill("selftest.c"),
+        "CMakeLists.txt": fill("CMakeLists.txt"),
+        "README.md": readme(source, measured=measured),
+    }
+    return [write_text(Path(folder) / name, text) for name, text in files.items()]

@@ -1,0 +1,1 @@
+"""The Lyapunov function V = Φ(H + Hc, C) and its derivatives (eq. casimir_parameterization)."""

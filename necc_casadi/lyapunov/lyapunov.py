@@ -1,0 +1,152 @@
+"""V = Φ(H + Hc, C), its derivatives, and the control law of Lemma 1, in CasADi MX.
+
+C = K(Σ βᵢ(cᵢ))  or  K(c₁, …, c_r)                         eq. casimir_parameterization
+u  = −Gcᵀ∇Hc − D Gᵀ ∂V/∂x                                 Lemma 1, with u = −y_c + v
+ξ̇  = (Jc − Rc)∇Hc + Gc Gᵀ∇H − Gc Dc Gcᵀ ∂V/∂ξ
+ż  = (M/Φ₁ − 𝒢𝒟𝒢ᵀ)∇V,  M = Jcl − Rcl                      the same loop, because M∇C = 0
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+
+import casadi as ca
+import numpy as np
+
+from necc_casadi.arrays import Vector
+from necc_casadi.casimirs.casimirs import Casimirs
+from necc_casadi.lyapunov.parameterization import Form, Scalar
+from necc_casadi.lyapunov.sympy2casadi import casadi_function
+from necc_casadi.model.closed_loop import ClosedLoop
+
+__all__ = ["LyapunovFunction", "Terms", "make_terms", "value"]
+
+
+@dataclass(frozen=True, eq=False)
+class Terms:
+    """The plant's and the controller's symbolic terms as CasADi functions."""
+
+    n: int  # plant states
+    nc: int  # controller states
+    m: int  # inputs
+    r: int  # Casimirs
+    H: ca.Function  # x -> 1
+    grad_H: ca.Function  # x -> n
+    F: ca.Function  # x -> n × n, J − R
+    c: ca.Function  # z -> r
+    G: ca.Function  # x -> n × m
+    Gc: ca.Function  # ξ -> nc × m
+    Fc: ca.Function  # ξ -> nc × nc, Jc − Rc
+    M: ca.Function  # z -> (n + nc) × (n + nc), Jcl − Rcl
+
+
+def make_terms(loop: ClosedLoop, casimirs: Casimirs) -> Terms:
+    """Translate a closed loop and its closed-form Casimirs for CasADi."""
+    plant, controller = loop.plant, loop.controller
+    return Terms(
+        n=plant.n,
+        nc=controller.nc,
+        m=plant.m,
+        r=len(casimirs.functions),
+        H=casadi_function("H", plant.x, [plant.H]),
+        grad_H=casadi_function("grad_H", plant.x, plant.grad_H),
+        F=casadi_function("F", plant.x, plant.J - plant.R),
+        c=casadi_function("c", loop.z, list(casimirs.functions)),
+        G=casadi_function("G", plant.x, plant.G),
+        Gc=casadi_function("Gc", controller.xi, controller.Gc),
+        Fc=casadi_function("Fc", controller.xi, controller.Jc - controller.Rc),
+        M=casadi_function("M", loop.z, loop.M),
+    )
+
+
+def value(
+    terms: Terms,
+    z: ca.MX,
+    controller_energy: Scalar,
+    casimir: Scalar,
+    outer: Callable[[ca.MX, ca.MX], ca.MX],
+) -> ca.MX:
+    """V(z) = Φ(H(x) + Hc(ξ), C(c(z))) for any functions Hc, C and Φ."""
+    x, xi = z[: terms.n], z[terms.n :]
+    return outer(terms.H(x) + controller_energy(xi), casimir(terms.c(z)))
+
+
+@dataclass(frozen=True, eq=False)
+class LyapunovFunction:
+    """A trained V with its derivatives and the control law, as CasADi functions of numbers."""
+
+    terms: Terms
+    form: Form
+    weights: Vector  # (form.size,)
+    D: Vector  # m × m, ≻ 0
+    Dc: Vector  # m × m, ≻ 0
+
+    def __call__(self, z: ca.MX) -> ca.MX:
+        """V(z) as an MX expression."""
+        w = ca.DM(self.weights)
+        form = self.form
+        return value(self.terms, z, form.controller_energy(w), form.casimir(w), form.outer(w))
+
+    @cached_property
+    def V(self) -> ca.Function:
+        """Z -> V(z), scalar."""
+        z = self._z()
+        return ca.Function("V", [z], [self(z)], ["z"], ["V"])
+
+    @cached_property
+    def gradient(self) -> ca.Function:
+        """Z -> ∇V, (n + nc,)."""
+        z = self._z()
+        return ca.Function("grad_V", [z], [ca.gradient(self(z), z)], ["z"], ["grad_V"])
+
+    @cached_property
+    def hessian(self) -> ca.Function:
+        """Z -> ∇²V, (n + nc) × (n + nc)."""
+        z = self._z()
+        return ca.Function("hess_V", [z], [ca.hessian(self(z), z)[0]], ["z"], ["hess_V"])
+
+    @cached_property
+    def phi_slope(self) -> ca.Function:
+        """Z -> Φ₁ = ∂Φ/∂(H + Hc), scalar."""
+        z, e, c = self._z(), ca.MX.sym("e"), ca.MX.sym("c")
+        w = ca.DM(self.weights)
+        slope = ca.Function("slope", [e, c], [ca.gradient(self.form.outer(w)(e, c), e)])
+        x, xi = z[: self.terms.n], z[self.terms.n :]
+        energy = self.terms.H(x) + self.form.controller_energy(w)(xi)
+        return ca.Function("phi_1", [z], [slope(energy, self.form.casimir(w)(self.terms.c(z)))])
+
+    @cached_property
+    def control_law(self) -> ca.Function:
+        """(x, ξ) -> (u, ξ̇), the exported controller."""
+        terms = self.terms
+        x, xi = ca.MX.sym("x", terms.n), ca.MX.sym("xi", terms.nc)
+        V = self(ca.vertcat(x, xi))
+        grad_H = terms.grad_H(x)
+        grad_Hc = ca.gradient(self.form.controller_energy(ca.DM(self.weights))(xi), xi)
+        G, Gc = terms.G(x), terms.Gc(xi)
+        v = -ca.DM(self.D) @ (G.T @ ca.gradient(V, x))
+        v_c = -ca.DM(self.Dc) @ (Gc.T @ ca.gradient(V, xi))
+        u = -Gc.T @ grad_Hc + v
+        xi_dot = terms.Fc(xi) @ grad_Hc + Gc @ (G.T @ grad_H + v_c)
+        return ca.Function("necc", [x, xi], [u, xi_dot], ["x", "xi"], ["u", "xi_dot"])
+
+    @cached_property
+    def vector_field(self) -> ca.Function:
+        """Z -> ż of the damped closed loop, plant and controller as they are built."""
+        terms = self.terms
+        z = self._z()
+        x, xi = z[: terms.n], z[terms.n :]
+        u, xi_dot = self.control_law(x, xi)
+        x_dot = terms.F(x) @ terms.grad_H(x) + terms.G(x) @ u
+        return ca.Function("loop", [z], [ca.vertcat(x_dot, xi_dot)], ["z"], ["z_dot"])
+
+    def linearisation(self, z: Vector) -> Vector:
+        """∂ż/∂z at z, (n + nc) × (n + nc)."""
+        s = self._z()
+        jacobian = ca.Function("A", [s], [ca.jacobian(self.vector_field(s), s)])
+        return np.asarray(jacobian(z), dtype=float)
+
+    def _z(self) -> ca.MX:
+        return ca.MX.sym("z", self.terms.n + self.terms.nc)

@@ -1,0 +1,75 @@
+"""Controller structure and its power-preserving interconnection with the plant.
+
+eq. Controller:       ξ̇ = (Jc − Rc)∇Hc + Gc u_c,  y_c = Gcᵀ∇Hc
+eq. PlantControllerInterconnection:  u = −y_c + v,  u_c = y + v_c
+eq. ClosedLoopSystem: Jcl = [[J, −G Gcᵀ], [Gc Gᵀ, Jc]],  Rcl = diag(R, Rc)
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import sympy as sp
+
+from necc_casadi.model.controller import Controller
+from necc_casadi.model.entries import Property
+from necc_casadi.model.plant import Plant
+
+__all__ = ["ClosedLoop", "interconnect"]
+
+
+@dataclass(frozen=True, eq=False)
+class ClosedLoop:
+    """Plant and controller, interconnected (eq. ClosedLoopSystem), z = (x, ξ)."""
+
+    plant: Plant
+    controller: Controller
+
+    @cached_property
+    def z(self) -> tuple[sp.Symbol, ...]:
+        """All states, plant first, (n + nc,)."""
+        return self.plant.x + self.controller.xi
+
+    @property
+    def n(self) -> int:
+        """Number of closed-loop states, n + nc."""
+        return len(self.z)
+
+    @cached_property
+    def states(self) -> tuple[str, ...]:
+        """Names of all states, plant first."""
+        return self.plant.states + self.controller.states
+
+    @cached_property
+    def J(self) -> sp.ImmutableMatrix:
+        """Jcl, (n + nc) × (n + nc)."""
+        coupling = self.plant.G * self.controller.Gc.T
+        upper = sp.Matrix.hstack(sp.Matrix(self.plant.J), sp.Matrix(-coupling))
+        lower = sp.Matrix.hstack(sp.Matrix(coupling.T), sp.Matrix(self.controller.Jc))
+        return sp.ImmutableMatrix(sp.Matrix.vstack(upper, lower))
+
+    @cached_property
+    def R(self) -> sp.ImmutableMatrix:
+        """Rcl, (n + nc) × (n + nc)."""
+        return sp.ImmutableMatrix(sp.diag(sp.Matrix(self.plant.R), sp.Matrix(self.controller.Rc)))
+
+    @cached_property
+    def M(self) -> sp.ImmutableMatrix:
+        """Jcl − Rcl, so that a Casimir satisfies ∇Cᵀ M = 0 (eq. CasimirCondition)."""
+        return sp.ImmutableMatrix(self.J - self.R)
+
+    @cached_property
+    def ports(self) -> sp.ImmutableMatrix:
+        """𝒢 = diag(G, Gc), (n + nc) × 2m, through which v and v_c act."""
+        return sp.ImmutableMatrix(sp.diag(sp.Matrix(self.plant.G), sp.Matrix(self.controller.Gc)))
+
+    @property
+    def properties(self) -> tuple[Property, ...]:
+        """Structural properties of plant and controller."""
+        return self.plant.properties + self.controller.properties
+
+
+def interconnect(plant: Plant, controller: Controller) -> ClosedLoop:
+    """The closed loop of eq. ClosedLoopSystem, before damping is injected."""
+    return ClosedLoop(plant, controller)

@@ -1,0 +1,202 @@
+"""Checks of the entries of a model: shapes, symbols, skewness, definiteness, rank."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import sympy as sp
+
+from necc_casadi.errors import ModelError
+from necc_casadi.symbolic.expressions import FUNCTIONS, exact, is_finite, non_smooth_part
+from necc_casadi.symbolic.linear_algebra import generic_rank
+from necc_casadi.symbolic.semidefinite import is_positive_semidefinite
+from necc_casadi.symbolic.zero import is_zero, sign
+
+__all__ = [
+    "Property",
+    "check_psd",
+    "check_rank",
+    "check_skew",
+    "check_states",
+    "not_psd",
+    "scalar_entry",
+    "shaped_matrix",
+    "shown_point",
+    "square_matrix",
+]
+
+
+@dataclass(frozen=True)
+class Property:
+    """A structural property that must hold for all x, and how it is known."""
+
+    name: str  # e.g. "R ⪰ 0"
+    proved: bool  # False: it held at sampled points only
+
+
+def check_states(symbols: Sequence[sp.Symbol], label: str) -> None:
+    """Raise ModelError unless `symbols` are distinct sympy symbols, at least one."""
+    if not symbols:
+        raise ModelError("shape", f"{label} is empty", f"{label} needs at least one sympy symbol.")
+    for i, symbol in enumerate(symbols):
+        if not isinstance(symbol, sp.Symbol):
+            raise ModelError(
+                "shape",
+                f"{label}[{i}] = {symbol!s} is not a symbol",
+                f'{label} is a tuple of sympy symbols, e.g. x = sp.symbols("q p", real=True).',
+            )
+        if symbol in symbols[:i]:
+            raise ModelError(
+                "duplicate_state",
+                f"{label}[{i}] = {symbol} stands twice in {label}",
+                "Give every state a name of its own.",
+            )
+
+
+def scalar_entry(value: object, label: str, allowed: Sequence[sp.Symbol]) -> sp.Expr:
+    """`value` as an exact, real, smooth expression of the symbols in `allowed`.
+
+    Raises
+    ------
+    ModelError
+        ``undefined_symbol, not_real, non_smooth`` or ``singular``, naming `label`.
+    """
+    try:
+        expr = exact(sp.sympify(value))
+    except (sp.SympifyError, TypeError, ValueError, AttributeError):
+        raise ModelError(
+            "shape", f"{label} = {value!r} is not an expression", "Write it with sympy."
+        ) from None
+    if not isinstance(expr, sp.Expr):
+        raise ModelError("shape", f"{label} = {expr} is not a number", "Write a real expression.")
+    if not is_finite(expr):
+        raise ModelError("singular", f"{label} = {expr} is not finite", "Remove the division by 0.")
+    if expr.has(sp.I):
+        raise ModelError("not_real", f"{label} = {expr} is complex", "Write a real expression.")
+    unknown = sorted(map(str, expr.free_symbols - set(allowed)))
+    if unknown:
+        raise ModelError(
+            "undefined_symbol",
+            f"{label} contains {', '.join(unknown)}, not among {', '.join(map(str, allowed))}",
+            f"Give it a value: params = {{{unknown[0]}: 1}}, or --param {unknown[0]}=1.",
+        )
+    part = non_smooth_part(expr)
+    if part is not None:
+        raise ModelError(
+            "non_smooth",
+            f"{label} contains {part}, which is not one of the smooth functions",
+            f"Use {', '.join(FUNCTIONS)}, and powers.",
+        )
+    return expr
+
+
+def shaped_matrix(value: object, label: str, allowed: Sequence[sp.Symbol]) -> sp.ImmutableMatrix:
+    """`value` as a matrix of checked entries; vectors become one column."""
+    try:
+        matrix = sp.Matrix(value) if not isinstance(value, sp.MatrixBase) else value
+        rows, columns = matrix.shape
+    except (TypeError, ValueError, AttributeError):
+        raise ModelError(
+            "shape", f"{label} = {value!r} is not a matrix", f"Write {label} = sp.Matrix([...])."
+        ) from None
+    entries = [
+        scalar_entry(matrix[i, j], f"{label}[{i},{j}]", allowed)
+        for i in range(rows)
+        for j in range(columns)
+    ]
+    return sp.ImmutableMatrix(rows, columns, entries)
+
+
+def square_matrix(
+    value: object, size: int, label: str, allowed: Sequence[sp.Symbol]
+) -> sp.ImmutableMatrix:
+    """`value` as a checked size × size matrix."""
+    matrix = shaped_matrix(value, label, allowed)
+    if matrix.shape != (size, size):
+        raise ModelError(
+            "shape",
+            f"{label} has shape {matrix.rows}×{matrix.cols}, but there are {size} states",
+            f"{label} must be {size}×{size}.",
+        )
+    return matrix
+
+
+def check_skew(J: sp.Matrix, label: str, code: str) -> Property:
+    """Decide J = −Jᵀ entry by entry."""
+    proved = True
+    for i in range(J.rows):
+        for j in range(i + 1):
+            total = J[i, j] + J[j, i]
+            verdict = is_zero(total)
+            if verdict is False:
+                raise ModelError(
+                    code,
+                    f"{label} must be skew-symmetric: {label}[{j},{i}] + {label}[{i},{j}] = "
+                    f"{sp.simplify(total)}",
+                    f"Set {label}[{i},{j}] = -{label}[{j},{i}]"
+                    + (", so zero on the diagonal." if i == j else "."),
+                )
+            proved = proved and verdict is True
+    return Property(f"{label} = -{label}ᵀ", proved)
+
+
+def check_psd(R: sp.Matrix, label: str, code_symmetric: str, code_psd: str) -> Property:
+    """Decide R = Rᵀ ⪰ 0; what is undecided is sampled once the target is known."""
+    proved = True
+    for i in range(R.rows):
+        for j in range(i):
+            verdict = is_zero(R[i, j] - R[j, i])
+            if verdict is False:
+                raise ModelError(
+                    code_symmetric,
+                    f"{label} must be symmetric: {label}[{j},{i}] = {R[j, i]}, "
+                    f"{label}[{i},{j}] = {R[i, j]}",
+                    "Make the two entries equal; the skew part belongs into the other matrix.",
+                )
+            proved = proved and verdict is True
+    verdict = is_positive_semidefinite(sp.Matrix(R))
+    if verdict is False:
+        raise ModelError(code_psd, *not_psd(R, label, {}))
+    return Property(f"{label} ⪰ 0", proved and verdict is True)
+
+
+def not_psd(R: sp.Matrix, label: str, point: Mapping[sp.Symbol, sp.Expr]) -> tuple[str, str]:
+    """Fault and remedy for a matrix that is not ⪰ 0, with a witness entry or eigenvalue."""
+    where = f" at {shown_point(point)}" if point else ""
+    remedy = f"Every quadratic form of {label} must be nonnegative: dissipation takes energy out."
+    for i in range(R.rows):
+        value = R[i, i].subs(point)
+        if not value.free_symbols and sign(value) == -1:
+            return (
+                f"{label} must be positive semidefinite: {label}[{i},{i}] = "
+                f"{float(sp.N(value)):.4g}{where}",
+                remedy,
+            )
+    value = sp.Matrix(R.subs(point))
+    if value.free_symbols:
+        return f"{label} must be positive semidefinite: a diagonal entry is negative", remedy
+    lowest = np.linalg.eigvalsh(np.array(value.evalf(), dtype=float))[0]
+    return (
+        f"{label} must be positive semidefinite: its least eigenvalue is {lowest:.3g}{where}",
+        remedy,
+    )
+
+
+def check_rank(G: sp.Matrix, label: str, code: str) -> Property:
+    """Decide that G has full rank (min of its sides) at generic points."""
+    full = min(G.shape)
+    rank = generic_rank(sp.Matrix(G))
+    if rank < full:
+        raise ModelError(
+            code,
+            f"{label} has rank {rank}, but shape {G.rows}×{G.cols}",
+            f"{label} needs full rank {full}: remove inputs that act alike.",
+        )
+    return Property(f"rank {label} = {full}", not G.free_symbols)
+
+
+def shown_point(point: Mapping[sp.Symbol, sp.Expr]) -> str:
+    """A point in words: ``q = 1, p = 0``."""
+    return ", ".join(f"{name} = {float(value):.4g}" for name, value in point.items())

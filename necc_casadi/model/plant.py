@@ -1,0 +1,156 @@
+"""The plant ẋ = (J − R)∇H + G u, y = Gᵀ∇H (eq. Plant): structure checks and equilibria."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import sympy as sp
+
+from necc_casadi.errors import ModelError
+from necc_casadi.model.entries import (
+    Property,
+    check_psd,
+    check_rank,
+    check_skew,
+    check_states,
+    scalar_entry,
+    shaped_matrix,
+    square_matrix,
+)
+from necc_casadi.symbolic.derivatives import gradient
+from necc_casadi.symbolic.linear_algebra import kernel
+
+__all__ = ["Plant", "make_plant"]
+
+
+@dataclass(frozen=True, eq=False)
+class Plant:
+    """A port-Hamiltonian plant, exact and checked (eq. Plant).
+
+    Build one with :func:`make_plant`, which substitutes parameters and checks the structure.
+    """
+
+    name: str
+    x: tuple[sp.Symbol, ...]  # (n,)
+    J: sp.ImmutableMatrix  # n × n, skew-symmetric
+    R: sp.ImmutableMatrix  # n × n, symmetric, ⪰ 0
+    G: sp.ImmutableMatrix  # n × m, full column rank
+    H: sp.Expr  # Hamiltonian, scalar
+    units: Mapping[str, str] = field(default_factory=dict)  # name of a state -> unit
+    domain: Mapping[str, tuple[sp.Expr, sp.Expr]] = field(default_factory=dict)
+    u_limits: tuple[tuple[float, float], ...] | None = None  # (m,) pairs
+    properties: tuple[Property, ...] = ()
+
+    @property
+    def n(self) -> int:
+        """Number of states."""
+        return len(self.x)
+
+    @property
+    def m(self) -> int:
+        """Number of inputs."""
+        return int(self.G.cols)
+
+    @cached_property
+    def states(self) -> tuple[str, ...]:
+        """Names of the states, in order."""
+        return tuple(str(s) for s in self.x)
+
+    @cached_property
+    def grad_H(self) -> sp.ImmutableMatrix:
+        """∇H, n × 1."""
+        return gradient(self.H, self.x)
+
+    @cached_property
+    def equilibrium_equations(self) -> tuple[sp.Expr, ...]:
+        """G⊥(J − R)∇H, the residuals that no constant input can cancel; zero ones dropped."""
+        annihilator = kernel(sp.Matrix(self.G.T)).T
+        residual = annihilator * ((self.J - self.R) * self.grad_H)
+        # simplify() is slow, and polynomials do not need it
+        tidied = (sp.expand(row) if row.is_polynomial() else sp.simplify(row) for row in residual)
+        equations = (sp.numer(sp.together(row)) for row in tidied)
+        return tuple(row for row in equations if row != 0)
+
+    def holding_input(self, x_star: Mapping[sp.Symbol, sp.Expr]) -> sp.Matrix:
+        """The constant input u* with (J − R)∇H + G u* = 0 at an equilibrium, m × 1."""
+        G = sp.Matrix(self.G.subs(x_star))
+        drift = sp.Matrix(((self.J - self.R) * self.grad_H).subs(x_star))
+        return -(G.T * G).LUsolve(G.T * drift)
+
+
+def make_plant(
+    x: Sequence[sp.Symbol],
+    J: sp.Matrix,
+    R: sp.Matrix,
+    G: sp.Matrix,
+    H: sp.Expr,
+    *,
+    name: str = "plant",
+    units: Mapping[str, str] | None = None,
+    domain: Mapping[str, tuple[sp.Expr, sp.Expr]] | None = None,
+    u_limits: Sequence[tuple[float, float]] | None = None,
+) -> Plant:
+    """Check the structure of eq. Plant and return the plant; numbers become exact rationals.
+
+    Raises
+    ------
+    ModelError
+        With the code of the first property that fails: ``duplicate_state, shape, h_not_scalar,
+        undefined_symbol, not_real, non_smooth, singular, h_constant, j_not_skew, r_not_symmetric,
+        r_not_psd, g_rank, limits``.
+    """
+    x = tuple(x)
+    check_states(x, "x")
+    n = len(x)
+    H = _hamiltonian(H, x)
+    J, R = (square_matrix(matrix, n, label, x) for matrix, label in ((J, "J"), (R, "R")))
+    G = shaped_matrix(G, "G", x)
+    if G.rows != n or G.cols == 0:
+        raise ModelError(
+            "shape",
+            f"G has shape {G.rows}×{G.cols}, but x has {n} states",
+            f"G needs {n} rows and one column per input.",
+        )
+    properties = (
+        check_skew(J, "J", "j_not_skew"),
+        check_psd(R, "R", "r_not_symmetric", "r_not_psd"),
+        check_rank(G, "G", "g_rank"),
+    )
+    if u_limits is not None and len(u_limits) != G.cols:
+        raise ModelError(
+            "limits",
+            f"u_limits has {len(u_limits)} entries, but G has {G.cols} columns",
+            "Give one (lo, hi) pair per input.",
+        )
+    return Plant(
+        name=name,
+        x=x,
+        J=J,
+        R=R,
+        G=G,
+        H=H,
+        units=dict(units or {}),
+        domain=dict(domain or {}),
+        u_limits=None if u_limits is None else tuple(u_limits),
+        properties=properties,
+    )
+
+
+def _hamiltonian(H: sp.Expr, x: tuple[sp.Symbol, ...]) -> sp.Expr:
+    remedy = "H must be one scalar expression of the states."
+    if isinstance(H, sp.MatrixBase):
+        if H.shape != (1, 1):
+            raise ModelError("h_not_scalar", f"H is a {H.rows}×{H.cols} matrix", remedy)
+        H = H[0, 0]
+    if not isinstance(H, (sp.Expr, int, float)) or isinstance(H, bool):
+        raise ModelError("h_not_scalar", f"H = {H} is not a scalar expression", remedy)
+    H = scalar_entry(H, "H", x)
+    if not H.free_symbols:
+        raise ModelError(
+            "h_constant",
+            f"H = {H} depends on no state",
+            f"H must be the energy as a function of {', '.join(map(str, x))}.",
+        )
+    return H

@@ -1,0 +1,269 @@
+"""``--target`` text to an exact equilibrium x*: the states not given are solved for."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+import sympy as sp
+
+from necc_casadi.arrays import Vector
+from necc_casadi.errors import TargetError
+from necc_casadi.model.plant import Plant
+from necc_casadi.symbolic.expressions import parse_number
+
+__all__ = [
+    "free_coordinates",
+    "nearest_equilibrium",
+    "parse_target",
+    "solve_target",
+    "target_from_model",
+]
+
+
+def parse_target(plant: Plant, text: str) -> dict[sp.Symbol, sp.Expr]:
+    """x* from ``pi/4``, ``q=pi/4``, ``q1=pi/4,q2=-pi/3`` or all states in order.
+
+    Raises
+    ------
+    TargetError
+        ``target_length, target_value, target_ambiguous, duplicate_state``.
+    """
+    entries = _split(text)
+    named = [entry for entry in entries if "=" in entry]
+    if named and len(named) < len(entries):
+        raise TargetError(
+            "target_value",
+            f"--target {text}: some values have a name and some have none",
+            "Name all of them (q=pi/4,p=0) or none (pi/4,0).",
+        )
+    if named:
+        return solve_target(plant, _named_values(plant, entries))
+    values = [_number(entry) for entry in entries]
+    if len(values) == plant.n:
+        return dict(zip(plant.x, values, strict=True))
+    return solve_target(plant, dict(zip(_free_for(plant, len(values), text), values, strict=True)))
+
+
+def target_from_model(plant: Plant, given: Mapping[str, sp.Expr]) -> dict[sp.Symbol, sp.Expr]:
+    """x* from the ``target`` of a model file, {state: value}.
+
+    Raises
+    ------
+    TargetError
+        As :func:`parse_target`.
+    """
+    symbols = dict(zip(plant.states, plant.x, strict=True))
+    for name, value in given.items():
+        if name not in symbols:
+            raise TargetError(
+                "target_value",
+                f"target names {name}, which is no state of the plant",
+                f"States: {', '.join(plant.states)}.",
+            )
+        if not value.is_number or value.is_real is not True:
+            raise TargetError(
+                "target_value", f"target[{name}] = {value} is not a real number", "Give a constant."
+            )
+    return solve_target(plant, {symbols[name]: value for name, value in given.items()})
+
+
+def _split(text: str) -> list[str]:
+    """Split at commas outside parentheses."""
+    parts, depth, current = [], 0, ""
+    for character in text:
+        depth += (character == "(") - (character == ")")
+        if character == "," and depth == 0:
+            parts.append(current)
+            current = ""
+        else:
+            current += character
+    return [*parts, current]
+
+
+def _number(text: str, label: str = "--target") -> sp.Expr:
+    return parse_number(text, label, "target_value", TargetError)
+
+
+def _named_values(plant: Plant, entries: list[str]) -> dict[sp.Symbol, sp.Expr]:
+    symbols = dict(zip(plant.states, plant.x, strict=True))
+    given: dict[sp.Symbol, sp.Expr] = {}
+    for entry in entries:
+        name, _, value = (part.strip() for part in entry.partition("="))
+        if name not in symbols:
+            raise TargetError(
+                "target_value",
+                f"--target {entry.strip()}: {name} is no state of the plant",
+                f"States: {', '.join(plant.states)}.",
+            )
+        if symbols[name] in given:
+            raise TargetError(
+                "duplicate_state", f"--target gives {name} twice", "Give each state once."
+            )
+        given[symbols[name]] = _number(value, f"--target {name}")
+    return given
+
+
+def _free_for(plant: Plant, count: int, text: str) -> list[sp.Symbol]:
+    """The coordinates that `count` bare values stand for."""
+    free, dimension = free_coordinates(plant)
+    names = ", ".join(map(str, free))
+    if count == dimension == len(free):
+        return free
+    if count != dimension:
+        raise TargetError(
+            "target_length",
+            f"--target {text} has {count} value{'s' * (count != 1)}, but the equilibria form a set "
+            f"of dimension {dimension}",
+            f"Give {dimension} of {names or '(none)'}, or all {plant.n} states: "
+            f"{', '.join(plant.states)}.",
+        )
+    raise TargetError(
+        "target_ambiguous",
+        f"--target {text}: the values could stand for any {dimension} of {names}",
+        "Name them: " + " or ".join(f"{symbol}={text}" for symbol in free[:4]) + ".",
+    )
+
+
+def free_coordinates(plant: Plant) -> tuple[list[sp.Symbol], int]:
+    """Coordinates that vary along the equilibrium set, and the dimension of that set.
+
+    Read off the kernel of the equilibrium equations' Jacobian at equilibria found from several
+    starts; it interprets bare values only, every target is checked exactly afterwards.
+    """
+    varies, dimension = np.zeros(plant.n, bool), 0
+    jacobian = _equations(plant)[1]
+    for seed in range(4):
+        point = _project(plant, np.random.default_rng(seed).uniform(-1, 1, plant.n))
+        if point is None:
+            continue
+        null = _null_space(jacobian(point))
+        dimension = max(dimension, null.shape[1])
+        varies |= np.linalg.norm(null, axis=1) > 1e-7
+    return [s for s, v in zip(plant.x, varies, strict=True) if v], dimension
+
+
+def _null_space(matrix: Vector) -> Vector:
+    if matrix.shape[0] == 0:
+        return np.eye(matrix.shape[1])
+    _, values, right = np.linalg.svd(matrix)
+    rank = int(np.sum(values > 1e-9 * max(1.0, values[0])))
+    return right[rank:].T
+
+
+def _equations(plant: Plant):  # type: ignore[no-untyped-def]
+    """(residual, Jacobian) of the equilibrium equations as numpy functions."""
+    equations = sp.Matrix(plant.equilibrium_equations)
+    if not equations:
+        return (lambda x: np.zeros(0)), (lambda x: np.zeros((0, plant.n)))
+    residual = sp.lambdify([plant.x], equations, "numpy", cse=True)
+    jacobian = sp.lambdify([plant.x], equations.jacobian(plant.x), "numpy", cse=True)
+    return (
+        lambda x: np.asarray(residual(x), float).ravel(),
+        lambda x: np.asarray(jacobian(x), float),
+    )
+
+
+def _project(plant: Plant, x: Vector) -> Vector | None:
+    """A point of the equilibrium set near x, by Gauss–Newton; None if it does not converge."""
+    residual, jacobian = _equations(plant)
+    with np.errstate(all="ignore"):
+        for _ in range(50):
+            r = residual(x)
+            if not np.all(np.isfinite(r)):
+                return None
+            if np.linalg.norm(r) < 1e-12:
+                return x
+            x = x - np.linalg.pinv(jacobian(x), rcond=1e-10) @ r
+    return x if np.linalg.norm(residual(x)) < 1e-8 else None
+
+
+def nearest_equilibrium(plant: Plant, x_star: Mapping[sp.Symbol, sp.Expr]) -> Vector | None:
+    """The equilibrium that Gauss–Newton finds from x*, (n,), to suggest it; None if none."""
+    return _project(plant, np.array([float(sp.N(x_star[s])) for s in plant.x]))
+
+
+def solve_target(plant: Plant, given: Mapping[sp.Symbol, sp.Expr]) -> dict[sp.Symbol, sp.Expr]:
+    """Solve the equilibrium equations for the states that are not in `given`.
+
+    Where they have no solution the missing states become 0: the verdict says why the target
+    cannot be held.
+
+    Raises
+    ------
+    TargetError
+        ``target_ambiguous`` where several solutions, or a free coordinate, remain.
+    """
+    unknown = [s for s in plant.x if s not in given]
+    solutions = _solutions(plant, given, unknown)
+    if not solutions:
+        return {s: given.get(s, sp.Integer(0)) for s in plant.x}
+    loose = [s for s in unknown if any(s not in sol or sol[s].free_symbols for sol in solutions)]
+    if loose:
+        names = ", ".join(map(str, loose))
+        raise TargetError(
+            "target_ambiguous",
+            f"--target leaves {names} free: equilibria exist for many values",
+            f"Give {names} too.",
+        )
+    if len(solutions) > 1:
+        shown = [",".join(f"{s}={_short(sol[s])}" for s in unknown) for sol in solutions[:6]]
+        raise TargetError(
+            "target_ambiguous",
+            f"--target fits {len(solutions)} equilibria: " + "; ".join(shown),
+            "Name the one that is meant, e.g. --target "
+            + ",".join(f"{s}={_short(v)}" for s, v in (dict(given) | solutions[0]).items())
+            + ".",
+        )
+    return {s: given[s] if s in given else solutions[0][s] for s in plant.x}
+
+
+def _short(value: sp.Expr) -> str:
+    return str(sp.sstr(value)).replace(" ", "")
+
+
+def _solutions(
+    plant: Plant, given: Mapping[sp.Symbol, sp.Expr], unknown: list[sp.Symbol]
+) -> list[dict[sp.Symbol, sp.Expr]]:
+    """All real solutions; linear equations first, then sympy's solver on what remains."""
+    equations = [sp.simplify(e.subs(given)) for e in plant.equilibrium_equations]
+    equations = [e for e in equations if e != 0]
+    if any(not e.free_symbols for e in equations):
+        return []
+    solved: dict[sp.Symbol, sp.Expr] = {}
+    while True:  # one linear equation in one unknown at a time: most states are of this kind
+        step = _linear_step(equations)
+        if step is None:
+            break
+        symbol, value = step
+        solved = {s: v.subs(symbol, value) for s, v in solved.items()} | {symbol: value}
+        equations = [sp.simplify(e.subs(symbol, value)) for e in equations]
+        equations = [e for e in equations if e != 0]
+        if any(not e.free_symbols for e in equations):
+            return []
+    rest = [s for s in unknown if s not in solved]
+    if not equations:
+        return [solved | {}]
+    try:
+        found = sp.solve(equations, rest, dict=True)
+    except NotImplementedError:
+        raise TargetError(
+            "target_ambiguous",
+            "--target: the states that are not given cannot be solved in closed form",
+            f"Give all states in order: {', '.join(plant.states)}.",
+        ) from None
+    real = [sol for sol in found if all(v.is_real is not False for v in sol.values())]
+    return [{s: v.subs(sol) for s, v in solved.items()} | sol for sol in real]
+
+
+def _linear_step(equations: list[sp.Expr]) -> tuple[sp.Symbol, sp.Expr] | None:
+    for equation in equations:
+        symbols = equation.free_symbols
+        if len(symbols) != 1:
+            continue
+        symbol = next(iter(symbols))
+        polynomial = equation.as_poly(symbol)
+        if polynomial is not None and polynomial.degree() == 1:
+            a, b = polynomial.all_coeffs()
+            return symbol, sp.nsimplify(-b / a) if (b / a).is_Rational else -b / a
+    return None

@@ -1,0 +1,55 @@
+"""What a user might do next, in one line each."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import sympy as sp
+
+from necc_casadi.casimirs.casimirs import Casimirs
+from necc_casadi.model.model_file import Model
+from necc_casadi.model.target import nearest_equilibrium
+from necc_casadi.pipeline.request import option_word
+from necc_casadi.verdict.controller_structures import suggest_controllers
+
+__all__ = ["NOTED_LOSS", "SMALL_SHARE", "model_notes", "nearest_note", "structure_offers"]
+
+
+#: A design whose ε is above this gets a note with IPOPT's status and what to try.
+NOTED_LOSS = 1e-9
+
+
+#: A proved region below this share of the domain gets a note on how it may grow.
+SMALL_SHARE = 0.1
+
+
+def structure_offers(model: Model, x_star: Mapping[sp.Symbol, sp.Expr]) -> list[str]:
+    """What `--structure` would change, one note per structure."""
+    notes = []
+    for label, _, verdict in suggest_controllers(model.loop.plant, x_star):
+        reach = "assignable" if verdict.assignable else "undecided"
+        stability = f", {verdict.stability}" if verdict.stability else ""
+        notes.append(
+            f"with a {label} the target is {reach}{stability}: add --structure {option_word(label)}"
+        )
+    return notes
+
+
+def nearest_note(model: Model, x_star: dict[sp.Symbol, sp.Expr]) -> list[str]:
+    """An equilibrium near a target that is none."""
+    plant = model.loop.plant
+    nearest = nearest_equilibrium(plant, x_star)
+    if nearest is None:
+        return []
+    values = ",".join(f"{s}={v:.6g}" for s, v in zip(plant.states, nearest, strict=True))
+    return [f"the nearest equilibrium that was found: {values}"]
+
+
+def model_notes(model: Model, casimirs: Casimirs) -> list[str]:
+    """What of the model was not proved, and which Casimirs are missing."""
+    notes = [
+        f"{p.name} held at sampled points only: what rests on it is not proved"
+        for p in model.loop.properties
+        if not p.proved
+    ]
+    return [*model.notes, *notes, *([casimirs.note] if casimirs.note else [])]

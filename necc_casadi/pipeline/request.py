@@ -1,0 +1,116 @@
+"""What one run is asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import sympy as sp
+
+from necc_casadi.errors import OptionError
+from necc_casadi.model.closed_loop import interconnect
+from necc_casadi.model.model_file import Model, damping_matrix
+from necc_casadi.model.target import free_coordinates, parse_target, target_from_model
+from necc_casadi.synthesis.options import Options, check_options, paper_options
+from necc_casadi.verdict.controller_structures import suggest_controllers
+
+__all__ = [
+    "Request",
+    "option_word",
+    "read_options",
+    "read_parameters",
+    "read_target",
+    "with_structure",
+]
+
+
+@dataclass(frozen=True)
+class Request:
+    """What one run is asked for, as the command line says it."""
+
+    model: Path
+    out: Path
+    target: str | None = None
+    param: Sequence[str] = ()  # NAME=VALUE
+    check: bool = False
+    paper: bool = False
+    chosen: dict[str, Any] = field(default_factory=dict)  # fields of Options that were given
+    damping: tuple[float, ...] | None = None
+    controller_damping: tuple[float, ...] | None = None
+    plots: bool = True
+    sweep_a: tuple[float, float, int] | None = None
+    structure: str | None = None  # name of a controller structure that the tool offers
+    real: str = "double"
+    sample_time: float | None = None
+    integrator: str = "heun"
+    fmu: bool = False
+    mex: bool = False
+
+
+def with_structure(model: Model, name: str, x_star: Mapping[sp.Symbol, sp.Expr]) -> Model:
+    """The model with one of the offered controller structures in place of its own.
+
+    Raises
+    ------
+    OptionError
+        Where no structure of that name helps at this target; the offered ones are listed.
+    """
+    offers = suggest_controllers(model.loop.plant, x_star)
+    for label, controller, _ in offers:
+        if option_word(label) == name:
+            return replace(model, loop=interconnect(model.loop.plant, controller), casimirs=())
+    raise OptionError(
+        "usage",
+        f"--structure {name}: no such structure helps at this target",
+        f"Offered here: {', '.join(option_word(label) for label, _, _ in offers) or 'none'}.",
+    )
+
+
+def option_word(label: str) -> str:
+    """The option value for a structure: ``copy of the kinematics …`` -> ``copy``."""
+    return label.split()[0]
+
+
+def read_parameters(texts: Sequence[str]) -> dict[str, str]:
+    """``k=4`` of each --param, by name."""
+    result = {}
+    for text in texts:
+        name, separator, value = text.partition("=")
+        if not separator or not name.strip() or not value.strip():
+            raise OptionError("param", f"--param {text} is not NAME=VALUE", "Write --param k=4.")
+        result[name.strip()] = value
+    return result
+
+
+def read_target(model: Model, text: str | None) -> dict[sp.Symbol, sp.Expr]:
+    """x* from --target, else from the model file."""
+    if text is not None:
+        return parse_target(model.loop.plant, text)
+    if model.target is not None:
+        return target_from_model(model.loop.plant, model.target)
+    free, dimension = free_coordinates(model.loop.plant)
+    names = ", ".join(map(str, free[:dimension])) or "none"
+    raise OptionError(
+        "usage",
+        "no target: neither --target nor `target` in the model file",
+        f"Say where to hold the plant with --target; free on the equilibrium set: {names}.",
+    )
+
+
+def read_options(request: Request, model: Model) -> Options:
+    """The options of the synthesis, from the request and the model."""
+    m = model.loop.plant.m
+    options = paper_options(m) if request.paper else Options(D=model.D, Dc=model.Dc)
+    dampings: dict[str, Any] = {}
+    if request.damping is not None:
+        dampings["D"] = damping_matrix(np.array(request.damping), m, "--damping")
+    if request.controller_damping is not None:
+        dampings["Dc"] = damping_matrix(
+            np.array(request.controller_damping), m, "--controller-damping"
+        )
+    options = replace(options, **request.chosen, **dampings)
+    check_options(options)
+    return options

@@ -1,0 +1,296 @@
+"""Figures: V around the target, the proved region, closed-loop responses, designs against a."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Sequence
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from necc_casadi.arrays import Vector
+from necc_casadi.designs.design import Design
+from necc_casadi.files import write_text
+from necc_casadi.report.findings import SweepPoint
+from necc_casadi.report.slices import Window, domain_window, shadow, slice_boundary, slice_values
+from necc_casadi.simulation.responses import Trajectory
+
+__all__ = [
+    "lyapunov_figure",
+    "region_boundary",
+    "region_figure",
+    "responses_figure",
+    "sweep_figure",
+    "write_figure",
+]
+
+
+_INK, _TARGET, _MINIMUM, _UNSETTLED = "#1f4e79", "#d9730d", "#2e7d32", "#a8324a"
+
+
+_MOST_PANELS = 10
+
+
+#: Where no proved share exceeds this, shares are drawn on a logarithmic axis.
+_SMALL_SHARE = 0.02
+
+
+def write_figure(figure: Figure, path: Path, dpi: int = 120) -> Path:
+    """Write a PNG whole or not at all."""
+    buffer = io.BytesIO()
+    FigureCanvasAgg(figure)
+    figure.savefig(buffer, format="png", dpi=dpi)
+    return write_text(path, buffer.getvalue())
+
+
+def _label(design: Design, index: int) -> str:
+    name = design.loop.states[index]
+    unit = design.loop.plant.units.get(name)
+    return f"{name} [{unit}]" if unit else name
+
+
+def lyapunov_figure(design: Design) -> Figure:
+    """V over two coordinates through ξ*, as a surface and as contours, with both minima marked."""
+    window = domain_window(design)
+    i, j = window.pair
+    A, B, values = slice_values(design, window)
+
+    figure = Figure(figsize=(10, 4.4), layout="constrained")
+    figure.suptitle(f"{design.loop.plant.name}: Lyapunov function at ξ = ξ*")
+    surface = figure.add_subplot(1, 2, 1, projection="3d")
+    surface.plot_surface(A, B, values, cmap="viridis", linewidth=0, alpha=0.9, rcount=60, ccount=60)
+    surface.contour(A, B, values, levels=12, zdir="z", offset=float(values.min()), cmap="viridis")
+    surface.set_xlabel(_label(design, i))
+    surface.set_ylabel(_label(design, j))
+    surface.set_zlabel("V − V(z̄)")
+    surface.view_init(elev=28, azim=-60)
+
+    flat = figure.add_subplot(1, 2, 2)
+    lines = flat.contour(A, B, values, levels=_levels(values), cmap="viridis")
+    labelled = _levels(values)[2::2]  # apart from the marks
+    flat.clabel(lines, levels=labelled, fontsize=7, fmt="%.2g")
+    _mark_minima(design, flat, i, j)
+    figure.legend(*flat.get_legend_handles_labels(), loc="outside lower right", ncols=2, fontsize=8)
+    flat.set_title("contours of V − V(z̄)", fontsize=10)
+    return figure
+
+
+def _mark_minima(design: Design, axis: Axes, i: int, j: int) -> None:
+    """Target and minimum of V, axis labels."""
+    star, bar = design.z_star, design.z_bar
+    axis.plot(star[i], star[j], "o", ms=11, mfc="none", mew=2, color=_TARGET, label="target z*")
+    axis.plot(bar[i], bar[j], "+", ms=11, mew=2, color=_MINIMUM, label="minimum z̄ of V")
+    axis.set_xlabel(_label(design, i))
+    axis.set_ylabel(_label(design, j))
+
+
+def region_boundary(design: Design, level: float, count: int = 12) -> list[Vector]:
+    """Plant states on the boundary of {V ≤ level} in the plane that the figures show, ξ = ξ*."""
+    window = _window(design, level)[0]
+    path = slice_boundary(design, level, window)
+    if path is None:
+        return []
+    states = np.repeat(design.z_star[None, :], count, axis=0)
+    way = np.concatenate([[0.0], np.cumsum(np.hypot(*(np.diff(path, axis=0) / np.ptp(path, 0)).T))])
+    at = np.linspace(0, way[-1], count, endpoint=False)
+    states[:, list(window.pair)] = np.stack([np.interp(at, way, side) for side in path.T], -1)
+    return list(states[:, : design.loop.plant.n])
+
+
+@lru_cache(maxsize=4)
+def _window(design: Design, level: float) -> tuple[Window, Vector]:
+    """The part of the domain around Ω, and Ω's shadow in it."""
+    domain = domain_window(design)
+    edge = shadow(design, level, domain)
+    return domain.around(edge), edge
+
+
+def region_figure(design: Design, level: float, responses: Sequence[Trajectory]) -> Figure:
+    """The proved region over V's contours: its slice at z*, its shadow, responses from the slice.
+
+    Responses leave the slice because ξ moves, but not the shadow.
+    """
+    window, edge = _window(design, level)
+    i, j = window.pair
+    A, B, values = slice_values(design, window)
+    figure = Figure(figsize=(6.4, 5.6), layout="constrained")
+    axis = figure.add_subplot()
+    axis.contour(A, B, values, levels=_levels(values), cmap="viridis", linewidths=0.7, alpha=0.6)
+    axis.fill(*edge.T, color=_MINIMUM, alpha=0.10, label="Ω seen over all other states (computed)")
+    axis.plot(*np.vstack([edge, edge[:1]]).T, "--", color=_MINIMUM, lw=1)
+    curve = slice_boundary(design, level, window)
+    if curve is not None:
+        axis.fill(*curve.T, color=_MINIMUM, alpha=0.15)
+        top = level - design.V(design.z_bar)
+        proved = f"proved: V − V(z̄) ≤ {top:.3g}, other states at z*"
+        axis.plot(*curve.T, color=_MINIMUM, lw=2, label=proved)
+    for index, response in enumerate(responses):
+        label = "simulated from that boundary" if index == 0 else None
+        axis.plot(*response.z[:, [i, j]].T, lw=0.8, color=_INK, alpha=0.8, label=label)
+        axis.plot(*response.z[0, [i, j]], ".", color=_INK)
+    _mark_minima(design, axis, i, j)
+    axis.set_xlim(window.lo[0], window.hi[0])
+    axis.set_ylim(window.lo[1], window.hi[1])
+    figure.legend(loc="outside lower center", ncols=2, fontsize=8)
+    title = f"{design.loop.plant.name}: proved region Ω"
+    axis.set_title(f"{title}\ndomain: {_extent(design)}", fontsize=10)  # Ω may be a small part
+    return figure
+
+
+def _extent(design: Design) -> str:
+    """The domain in words, for the two states that are shown."""
+    whole = domain_window(design)
+    sides = zip(whole.pair, whole.lo, whole.hi, strict=True)
+    return ", ".join(f"{design.loop.states[k]} from {lo:.3g} to {hi:.3g}" for k, lo, hi in sides)
+
+
+def _levels(values: Vector) -> Vector:
+    """Contour levels that are dense near the minimum."""
+    top = float(np.quantile(values, 0.98))
+    floor = min(0.0, float(values.min()))
+    return floor + (top - floor) * np.linspace(0.03, 1.0, 13) ** 2
+
+
+def responses_figure(design: Design, trajectories: Sequence[Trajectory]) -> Figure:
+    """Every state and input over time, targets dashed, and V along the responses."""
+    shown = _telling_states(design, trajectories)
+    names = [_label(design, k) for k in shown]
+    inputs = min(design.loop.plant.m, _MOST_PANELS)
+    panels = len(names) + inputs + 1
+    columns = min((3, 4), key=lambda number: -panels % number)  # the fewest gaps
+    rows = -(-panels // columns)
+    figure = Figure(figsize=(3.6 * columns, 2.1 * rows + 0.5), layout="constrained")
+    total = len(design.loop.states)
+    left_out = f" ({len(shown)} of {total} states)" if len(shown) < total else ""
+    figure.suptitle(f"{design.loop.plant.name}: closed-loop responses, targets dashed{left_out}")
+    axes = figure.subplots(rows, columns, squeeze=False, sharex=True).ravel()
+    steady, _ = design.control(
+        design.z_bar[: design.loop.plant.n], design.z_bar[design.loop.plant.n :]
+    )
+    for k, axis in enumerate(axes[:panels]):
+        for response in trajectories:
+            color = _INK if response.converged else _UNSETTLED
+            values = _panel(response, k, shown, inputs)
+            axis.plot(response.t, values, lw=0.9, color=color, alpha=0.7)
+        if k < len(names):
+            axis.axhline(design.z_star[shown[k]], ls="--", lw=1, color=_TARGET)
+            axis.set_ylabel(names[k])
+        elif k < len(names) + inputs:
+            axis.axhline(steady[k - len(names)], ls="--", lw=1, color=_TARGET)
+            axis.set_ylabel(_input_label(design, k - len(names)))
+        else:
+            _decay_axis(axis)
+        axis.grid(alpha=0.25)
+    outcomes = {response.converged for response in trajectories}
+    if False in outcomes:
+        lines = [
+            Line2D([], [], color=color, label=label)
+            for settled, color, label in (
+                (True, _INK, "settles within 2 %"),
+                (False, _UNSETTLED, "does not settle in this time"),
+            )
+            if settled in outcomes
+        ]
+        figure.legend(handles=lines, loc="outside lower center", ncols=2, fontsize=8)
+    for axis in axes[panels:]:
+        axis.remove()
+    for k in range(max(0, panels - columns), panels):
+        axes[k].tick_params(labelbottom=True)
+        axes[k].set_xlabel("time [s]")
+    return figure
+
+
+def _telling_states(design: Design, trajectories: Sequence[Trajectory]) -> list[int]:
+    """All states where they fit, else those that travel farthest, in order."""
+    total = len(design.loop.states)
+    if total <= _MOST_PANELS or not trajectories:
+        return list(range(min(total, _MOST_PANELS)))
+    travel = np.max([np.ptp(response.z, axis=0) for response in trajectories], axis=0)
+    return sorted(int(k) for k in np.argsort(-travel)[:_MOST_PANELS])
+
+
+def _panel(response: Trajectory, k: int, shown: list[int], inputs: int) -> Vector:
+    if k < len(shown):
+        return response.z[:, shown[k]]
+    if k < len(shown) + inputs:
+        return response.u[:, k - len(shown)]
+    return np.maximum(response.V - response.V_bar, 1e-14)
+
+
+def _input_label(design: Design, index: int) -> str:
+    name = "u" if design.loop.plant.m == 1 else f"u{index + 1}"
+    unit = design.loop.plant.units.get(name)
+    return f"{name} [{unit}]" if unit else name
+
+
+def _decay_axis(axis: Axes) -> None:
+    axis.set_yscale("log")
+    axis.set_ylabel("V − V(z̄)")
+
+
+def sweep_figure(design: Design, points: Sequence[SweepPoint]) -> Figure:
+    """Against a: ‖z̄ − z*‖ with its two bounds; below, how much of the domain is proved."""
+    figure = Figure(figsize=(6.4, 7.0), layout="constrained")
+    figure.suptitle(f"{design.loop.plant.name}: designs against a", fontsize=11)
+    upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
+    _distances(upper, points, float(np.spacing(np.linalg.norm(design.z_star))))
+    _shares(lower, points)
+    ceiling = design.verdict.a_max
+    for axis in (upper, lower):
+        axis.grid(alpha=0.25)
+        if ceiling is not None and max(p.a for p in points) > ceiling:
+            right = axis.get_xlim()[1]
+            axis.axvspan(ceiling, right, color=_TARGET, alpha=0.08, lw=0, label="a above a_max")
+            axis.set_xlim(right=right)
+        axis.legend(fontsize=8)
+    lower.set_xlabel("a, curvature asked of ∇²V(z*)")
+    return figure
+
+
+def _distances(axis: Axes, points: Sequence[SweepPoint], rounding: float) -> None:
+    """Distance and bounds; what is smaller than one rounding of z* lies in a band of its own."""
+    series = (
+        ("paper's bound ε/(a − ε)", [p.bound_paper for p in points], "s--", _TARGET),
+        ("proved bound g/μ", [p.bound_rigorous for p in points], "^-", _MINIMUM),
+        ("distance ‖z̄ − z*‖", [p.distance for p in points], "o-", _INK),
+    )
+    for label, values, style, color in series:
+        shown = [np.nan if v is None else max(v, rounding / 4) for v in values]
+        axis.plot([p.a for p in points], shown, style, color=color, label=label, ms=5, lw=1.2)
+    axis.set_yscale("log")
+    if axis.get_ylim()[0] < rounding:
+        axis.set_ylim(bottom=rounding / 16)
+        axis.axhspan(rounding / 16, rounding, color="0.92", label="0 within one rounding of z*")
+    axis.set_ylabel("distance from the target")
+
+
+def _shares(axis: Axes, points: Sequence[SweepPoint]) -> None:
+    """Proved beside simulated; a cross on the axis where no region is proved."""
+    a = [p.a for p in points]
+    series = (
+        ("converges in simulation", [p.simulated_share for p in points], "o-", _INK),
+        ("proved region, at least", [p.domain_share for p in points], "^-", _MINIMUM),
+    )
+    for label, values, style, color in series:
+        shown = [np.nan if v is None else 100 * v for v in values]
+        if not np.isnan(shown).all():
+            axis.plot(a, shown, style, color=color, label=label, ms=5, lw=1.2)
+    proved = [p.domain_share for p in points if p.domain_share]
+    if proved and max(proved) < _SMALL_SHARE:  # on a linear axis all of them would look like 0
+        axis.set_yscale("log")
+        axis.set_ylim(top=200)
+    else:
+        axis.set_ylim(0, 105)
+    missing = [p.a for p in points if p.domain_share is None]
+    if missing:
+        at_bottom = axis.get_xaxis_transform()
+        axis.plot(
+            missing, [0.0] * len(missing), "x", color=_TARGET, ms=8, mew=2, transform=at_bottom,
+            clip_on=False, label="no region proved",
+        )  # fmt: skip
+    axis.set_ylabel("share of the domain [%],\nmomenta at rest")

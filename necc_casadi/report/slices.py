@@ -1,0 +1,202 @@
+"""Planes of two states: which pair tells most, V in it, and the slice and the shadow of Ω there."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+import numpy.typing as npt
+from matplotlib.figure import Figure
+from matplotlib.path import Path as Curve
+
+from necc_casadi.arrays import Vector
+from necc_casadi.designs.design import Design
+
+__all__ = [
+    "Window",
+    "domain_window",
+    "extent",
+    "shadow",
+    "slice_boundary",
+    "slice_values",
+    "telling_pair",
+]
+
+
+_GRID = 161
+
+
+#: Rays from z̄ along which the shadow is followed; steps to where a quadratic V would reach c.
+_RAYS, _STEPS = 96, 12
+
+
+#: How much farther than a quadratic V a ray is followed; halvings of the last step.
+_FARTHEST, _HALVINGS = 6, 7
+
+
+_NEWTON, _BACKTRACKS = 4, 4
+
+
+#: Room around the shadow, as a share of its size.
+_MARGIN = 0.2
+
+
+@dataclass(frozen=True, eq=False)
+class Window:
+    """A rectangle in the plane of two states."""
+
+    pair: tuple[int, int]  # their indices in z
+    lo: Vector  # (2,)
+    hi: Vector  # (2,)
+
+    def around(self, curve: Vector) -> Window:
+        """The part that holds a curve (k, 2) with some room around it."""
+        low, high = curve.min(0), curve.max(0)
+        room = _MARGIN * (high - low)
+        return Window(self.pair, np.maximum(self.lo, low - room), np.minimum(self.hi, high + room))
+
+
+@lru_cache(maxsize=4)
+def telling_pair(design: Design) -> tuple[int, int]:
+    """The two plant states that a plot of V should show, in order.
+
+    The state along which the design changed the plant's own energy most, and the stiffest of the
+    others; a momentum at rest only where there is nothing else.
+    """
+    n = design.loop.plant.n
+    if n == 1:
+        return 0, n
+    import casadi as ca
+
+    stiffness = np.diag(np.asarray(design.lyapunov.hessian(design.z_bar), float))[:n]
+    x = ca.MX.sym("x", n)
+    own = ca.Function("own", [x], [ca.hessian(design.lyapunov.terms.H(x), x)[0]])
+    change = stiffness - np.diag(np.asarray(own(design.z_bar[:n]), float))
+    first = int(np.argmax(np.abs(change)))
+    resting = design.momenta
+    others = sorted((i in resting, -stiffness[i], i) for i in range(n) if i != first)
+    second = others[0][-1]
+    return min(first, second), max(first, second)
+
+
+def domain_window(design: Design) -> Window:
+    """The domain in the plane of :func:`telling_pair`."""
+    pair = telling_pair(design)
+    lo, hi = design.domain.lo, design.domain.hi
+    return Window(pair, lo[list(pair)], hi[list(pair)])
+
+
+def slice_values(design: Design, window: Window) -> tuple[Vector, Vector, Vector]:
+    """Grid over a window and V − V(z̄) there, the other states at z*; three arrays of one shape."""
+    A, B = np.meshgrid(
+        *(np.linspace(lo, hi, _GRID) for lo, hi in zip(window.lo, window.hi, strict=True))
+    )
+    points = np.repeat(design.z_star[:, None], A.size, axis=1)
+    points[list(window.pair)] = A.ravel(), B.ravel()
+    values = np.asarray(design.lyapunov.V.map(A.size)(points), float).reshape(A.shape)
+    return A, B, values - design.V(design.z_bar)
+
+
+def slice_boundary(design: Design, level: float, window: Window) -> Vector | None:
+    """The closed curve V = level around z̄, the other states at z*, (k, 2); None: not in sight."""
+    A, B, values = slice_values(design, window)
+    middle = design.z_bar[list(window.pair)]
+    lines = Figure().add_subplot().contour(A, B, values, levels=[level - design.V(design.z_bar)])
+    for segment in lines.allsegs[0]:
+        curve = np.asarray(segment, float)
+        gap = np.abs(curve[0] - curve[-1]) / (window.hi - window.lo)
+        closed = len(curve) > 3 and gap.max() < 1e-9
+        if closed and Curve(curve).contains_point((middle[0], middle[1])):
+            return curve
+    return None
+
+
+def shadow(design: Design, level: float, window: Window) -> Vector:
+    """Where Ω lies in the plane, whatever the other states, (k, 2): min V ≤ level over them.
+
+    Followed along rays from z̄ to where the minimum first exceeds the level, or to the window's
+    edge, by Newton's method from the minimum before: computed, not proved.
+    """
+    angle = np.linspace(0, 2 * np.pi, _RAYS, endpoint=False)
+    circle = np.stack([np.cos(angle), np.sin(angle)])
+    return _followed(design, level, list(window.pair), circle, (window.lo, window.hi))
+
+
+def extent(design: Design, level: float) -> Vector:
+    """Least and greatest value of each state on Ω, (n + nc, 2); computed like :func:`shadow`."""
+    lo, hi = design.domain.lo, design.domain.hi
+    both = np.array([[-1.0, 1.0]])
+    ends = [_followed(design, level, [k], both, (lo[[k]], hi[[k]]))[:, 0] for k in range(len(lo))]
+    return np.array(ends)
+
+
+def _followed(
+    design: Design, level: float, shown: list[int], directions: Vector, box: tuple[Vector, Vector]
+) -> Vector:
+    """Ends of rays in the states `shown`, (rays, shown), with directions (shown, rays) of length 1.
+
+    Lengths are measured such that the least V over the other states rises as ½r² near z̄.
+    """
+    count = directions.shape[1]
+    rest = [i for i in range(len(design.z_bar)) if i not in shown]
+    rays, start = _unit_rise(design, shown, rest) @ directions, design.z_bar[shown][:, None]
+    lo, hi = box[0][:, None], box[1][:, None]
+    rise = max(0.0, level - design.V(design.z_bar))
+    step = float(np.sqrt(2 * rise)) / _STEPS
+    points = np.repeat(design.z_bar[:, None], count, axis=1)
+    radius = np.zeros(count)
+
+    def advance(step: float, moving: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
+        """Move rays on where that stays inside; which did."""
+        trial = points.copy()
+        trial[shown] = start + (radius + step) * rays
+        trial = _lowest(design, trial, rest)
+        values = np.asarray(design.lyapunov.V.map(count)(trial), float).ravel()
+        seen = (trial[shown] >= lo) & (trial[shown] <= hi)
+        moved: npt.NDArray[np.bool_] = moving & seen.all(0) & (values <= level)
+        points[:, moved] = trial[:, moved]
+        radius[moved] += step
+        return moved
+
+    every = np.full(count, True)
+    moving = every
+    for _ in range(_FARTHEST * _STEPS):
+        moving = advance(step, moving)
+        if not moving.any():
+            break
+    for halving in range(1, _HALVINGS + 1):
+        advance(step / 2**halving, every)
+    return np.asarray((start + radius * rays).T, float)
+
+
+def _unit_rise(design: Design, shown: list[int], rest: list[int]) -> Vector:
+    """T with min V over `rest` ≈ V(z̄) + ½|v|² at z̄ + Tv in the states `shown`."""
+    hessian = np.asarray(design.lyapunov.hessian(design.z_bar), float)
+    coupling = hessian[np.ix_(rest, shown)]
+    follow = np.linalg.solve(hessian[np.ix_(rest, rest)], coupling)
+    reduced = hessian[np.ix_(shown, shown)] - coupling.T @ follow
+    return np.asarray(np.linalg.inv(np.linalg.cholesky(reduced)).T, float)
+
+
+def _lowest(design: Design, points: Vector, rest: list[int]) -> Vector:
+    """Points (n + nc, B) moved down V along the states `rest`: Newton's method, never uphill."""
+    V, count = design.lyapunov, points.shape[1]
+    values = np.asarray(V.V.map(count)(points), float).ravel()
+    for _ in range(_NEWTON if rest else 0):
+        g = np.asarray(V.gradient.map(count)(points), float)[rest].T
+        hessians = np.asarray(V.hessian.map(count)(points), float)
+        hessians = hessians.reshape(len(points), count, len(points)).transpose(1, 0, 2)
+        bends, axes = np.linalg.eigh(hessians[:, rest][:, :, rest])
+        bends = np.maximum(np.abs(bends), 1e-6)  # downhill where V is not convex, too
+        move = -np.einsum("bij,bj->bi", axes, np.einsum("bji,bj->bi", axes, g) / bends)
+        size = np.ones(count)
+        for _ in range(_BACKTRACKS):
+            trial = points.copy()
+            trial[rest] += (size[:, None] * move).T
+            found = np.asarray(V.V.map(count)(trial), float).ravel()
+            better = found < values
+            points = np.where(better, trial, points)
+            values = np.where(better, found, values)
+            size = np.where(better, 0.0, size / 2)
+    return points

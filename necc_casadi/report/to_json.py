@@ -1,0 +1,141 @@
+"""What a run found, and the JSON of the contract."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import sympy as sp
+
+from necc_casadi.casimirs.casimirs import Casimirs
+from necc_casadi.certificate.claims.certificate import Certificate
+from necc_casadi.designs.design import Design
+from necc_casadi.designs.error_bound import gradient_and_hessian, loss
+from necc_casadi.report.findings import Findings, region_claim
+from necc_casadi.simulation.responses import Trajectory
+from necc_casadi.symbolic.expressions import to_text
+from necc_casadi.verdict.verdict import Verdict
+
+__all__ = ["design_block", "to_json"]
+
+
+def design_block(design: Design, certificate: Certificate | None) -> dict[str, Any]:
+    """The ``design`` block of the JSON."""
+    g, _ = gradient_and_hessian(design)
+    at_bar = np.asarray(design.lyapunov.hessian(design.z_bar), float)
+    epsilon = loss(design)
+    spectrum = np.linalg.eigvals(design.lyapunov.linearisation(design.z_bar))
+    return {
+        "xi_star": design.xi_star.tolist(),
+        "a": design.a,
+        "a_requested": design.a_requested,
+        "loss": epsilon,
+        "gradient_norm": float(np.linalg.norm(g)),
+        "hessian_min_eig": float(np.linalg.eigvalsh(at_bar)[0]),
+        "hessian_eigenvalues": np.linalg.eigvalsh(at_bar).tolist(),
+        "z_bar": design.z_bar.tolist(),
+        "distance": float(np.linalg.norm(design.z_bar - design.z_star)),
+        "bound_paper": epsilon / (design.a - epsilon) if design.a > epsilon else None,
+        "bound_rigorous": None if certificate is None else certificate.bound_rigorous,
+        "spectral_abscissa": float(spectrum.real.max()),
+        "spectrum": [
+            [float(v.real), float(v.imag)] for v in sorted(spectrum, key=lambda v: -v.real)
+        ],
+        "stability": None if certificate is None else certificate.stability,
+        "casimir_residual": None
+        if design.learned is None
+        else {"mean": design.learned.mean, "worst": design.learned.worst},
+        "D": design.D.tolist(),
+        "Dc": design.Dc.tolist(),
+        "seed": design.seed,
+        "starts": [
+            {
+                "seed": s.seed,
+                "form": s.mode,
+                "status": s.status,
+                "iterations": s.iterations,
+                "seconds": s.seconds,
+                "loss": s.loss,
+            }
+            for s in design.starts
+        ],
+    }
+
+
+def to_json(found: Findings) -> dict[str, Any]:
+    """The JSON object of the contract; blocks that were not made are None."""
+    loop, casimirs, verdict = found.loop, found.casimirs, found.verdict
+    data: dict[str, Any] = {
+        "status": found.status,
+        "plant": {"states": list(loop.plant.states), "inputs": loop.plant.m},
+        "controller": {"states": list(loop.controller.states)},
+        "target": {str(s): float(sp.N(found.x_star[s])) for s in loop.plant.x},
+        "verdict": None if verdict is None or casimirs is None else _verdict(verdict, casimirs),
+        "design": None if found.design is None else design_block(found.design, found.certificate),
+        "certificate": None
+        if found.certificate is None
+        else _certificate(found.certificate, found.simulated_share),
+        "responses": [_response(r) for r in found.responses] or None,
+        "sampling": None if found.sampling is None else vars(found.sampling),
+        "sweep": [vars(p) for p in found.sweep] or None,
+        "notes": found.notes,
+        "files": found.files,
+        "timings": found.timings,
+    }
+    result: dict[str, Any] = _finite(data)
+    return result
+
+
+def _verdict(verdict: Verdict, casimirs: Casimirs) -> dict[str, Any]:
+    return {
+        "assignable": verdict.assignable,
+        "reason": verdict.reason,
+        "explanation": verdict.explanation,
+        "stability": verdict.stability,
+        "witness": verdict.witness,
+        "a_max": verdict.a_max,
+        "casimirs": [to_text(c) for c in casimirs.functions],
+        "casimir_count": len(casimirs.functions),
+        "casimir_count_generic": casimirs.generic_count,
+        "kernel_rank": casimirs.kernel_rank,
+        "lambda": None if verdict.lam is None else [float(sp.N(v)) for v in verdict.lam],
+        "invisible": [[float(sp.N(v)) for v in row] for row in verdict.invisible.tolist()],
+    }
+
+
+def _certificate(certificate: Certificate, simulated_share: float | None) -> dict[str, Any]:
+    region = region_claim(certificate)
+    return {
+        "claims": [
+            {"name": c.name, "holds": c.holds, "statement": c.statement} for c in certificate.claims
+        ],
+        "level": certificate.level,
+        "level_u": certificate.level_u,
+        "limited_by": certificate.limited_by,
+        "domain_share": certificate.domain_share,
+        "shares": None
+        if region is None or not region.holds
+        else {key: size for key, size in region.data.items() if isinstance(size, float)},
+        "simulated_share": simulated_share,
+        "global": certificate.is_global,
+    }
+
+
+def _response(response: Trajectory) -> dict[str, Any]:
+    return {
+        "z0": response.z[0].tolist(),
+        "settling_time": response.settling_time,
+        "peak_input": response.peak_input,
+    }
+
+
+def _finite(value: Any) -> Any:
+    """Non-finite numbers become None, numpy scalars plain."""
+    if isinstance(value, dict):
+        return {k: _finite(v) for k, v in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_finite(v) for v in value]
+    if isinstance(value, (float, np.floating)):
+        return float(value) if math.isfinite(value) else None
+    return value

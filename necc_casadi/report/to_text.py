@@ -1,0 +1,288 @@
+"""What a run found, as a page of plain text."""
+
+from __future__ import annotations
+
+import math
+import textwrap
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import sympy as sp
+
+from necc_casadi.casimirs.casimirs import Casimirs
+from necc_casadi.certificate.claims.certificate import Certificate
+from necc_casadi.designs.design import Design
+from necc_casadi.designs.outcome import Residual
+from necc_casadi.export.sampled_loop import SampledLoop
+from necc_casadi.report.findings import Findings, attracts, region_claim
+from necc_casadi.report.to_json import design_block
+from necc_casadi.symbolic.expressions import to_text
+from necc_casadi.verdict.verdict import Verdict
+
+__all__ = ["percent", "rounded_down", "summary"]
+
+
+#: Columns of a page, of the labels, and of the labels inside a block.
+_WIDTH, _INDENT, _SUB = 98, 14, 11
+
+
+#: Numbers below this power of ten are written without one.
+_PLAIN = 6
+
+
+#: A space at which no line is broken.
+_TIE = "\N{NO-BREAK SPACE}"
+
+
+#: Claims that no exit code rests on.
+_OPTIONAL_CLAIMS = ("global", "input_limits")
+
+
+#: Lists of more states than this are shortened in the text, never in the JSON.
+_MANY = 12
+
+
+#: Coordinates of z̄ smaller than this are shown as 0.
+_NOTHING = 1e-20
+
+
+def summary(found: Findings, width: int = _WIDTH) -> str:
+    """A page that says what was found, proved and written, in lines of so many columns."""
+    loop, verdict, casimirs = found.loop, found.verdict, found.casimirs
+    lines = [f"{loop.plant.name}: {_outcome(found)}", ""]
+    rows = [("target", _target(found))]
+    if casimirs is not None:
+        rows.append(("Casimirs", _casimirs(casimirs)))
+    if verdict is not None:
+        rows.append(("verdict", _verdict_text(verdict)))
+    if found.design is not None:
+        rows += _design_rows(found.design, found.certificate)
+    if found.design is not None and found.design.learned is not None:
+        rows.append(("learned", _learned(found.design.learned)))
+    if found.responses:
+        rows.append(("responses", _responses(found)))
+    if found.sampling is not None:
+        rows.append(("sampled", _sampled(found.sampling)))
+    if found.certificate is not None:
+        rows += _region_rows(found, found.certificate)
+        for claim in found.certificate.claims:
+            missing = "open" if claim.name in _OPTIONAL_CLAIMS else "NOT proved"
+            mark = "proved" if claim.holds else missing
+            rows.append((mark, f"{claim.name}: {claim.statement}"))
+    rows += [("note", note) for note in found.notes]
+    if found.files:
+        rows.append(("written", ", ".join(found.files)))
+    if found.timings:
+        rows.append(("seconds", ", ".join(f"{k} {v:.2g}" for k, v in found.timings.items())))
+    return "\n".join(lines + [_wrapped(label, text, width) for label, text in rows])
+
+
+def _wrapped(label: str, text: str, width: int) -> str:
+    return textwrap.fill(
+        text,
+        width=width,
+        initial_indent=f"  {label:<{_INDENT - 2}}",
+        subsequent_indent=" " * (_INDENT if label else _INDENT + _SUB),
+        break_long_words=False,
+        break_on_hyphens=False,
+    ).replace(_TIE, " ")
+
+
+def _tied(text: str) -> str:
+    """A text that is not broken across lines."""
+    return text.replace(" ", _TIE)
+
+
+def _outcome(found: Findings) -> str:
+    certificate = found.certificate
+    if found.status == "certified" and certificate is not None:
+        kind = "asymptotically stable" if certificate.stability == "asymptotic" else "only stable"
+        return f"certified, {kind}"
+    return {
+        "assignable": "the target is assignable",
+        "refused": "refused, with proof",
+        "undecided": "undecided",
+        "fell_short": "fell short: not every claim is proved",
+    }[found.status]
+
+
+def _target(found: Findings) -> str:
+    parts = []
+    many = found.loop.plant.n > _MANY
+    for symbol in found.loop.plant.x:
+        value = found.x_star[symbol]
+        if many and value == 0:
+            continue
+        unit = found.loop.plant.units.get(str(symbol), "")
+        decimal = "" if value.is_Integer else f" = {float(sp.N(value)):.6g}"
+        parts.append(_tied(f"{symbol} = {sp.sstr(value)}{decimal} {unit}".rstrip()))
+    if many:
+        return f"{', '.join(parts[:_MANY])}{', …' if len(parts) > _MANY else ''}; zeros not listed"
+    return ", ".join(parts)
+
+
+def _casimirs(casimirs: Casimirs) -> str:
+    listed = "; ".join(to_text(c) for c in casimirs.functions) or "none"
+    return (
+        f"{listed}   ({len(casimirs.functions)} found of {casimirs.generic_count} that exist; "
+        f"kernel rank {casimirs.kernel_rank})"
+    )
+
+
+def _verdict_text(verdict: Verdict) -> str:
+    ceiling = "no ceiling on a" if verdict.a_max is None else f"a_max = {verdict.a_max:.4g}"
+    if verdict.assignable:
+        parts = [f"assignable; {ceiling}"]
+        if verdict.stability:
+            parts.append(f"best stability class: {verdict.stability}")
+        if verdict.witness:
+            parts.append(verdict.witness)
+        return "; ".join(parts)
+    return f"{verdict.reason}: {verdict.explanation}"
+
+
+def _design_rows(design: Design, certificate: Certificate | None) -> list[tuple[str, str]]:
+    block = design_block(design, certificate)
+    names = design.loop.controller.states
+    xi = ", ".join(f"{n}* = {v:.6g}" for n, v in zip(names, design.xi_star, strict=True))
+    best = min(design.starts, key=lambda s: s.loss)
+    starts = f" in {len(design.starts)} starts" if len(design.starts) > 1 else ""
+    paper, rigorous = block["bound_paper"], block["bound_rigorous"]
+    bounds = (
+        f"ε/(a − ε) = {paper:.2g}" if paper is not None else "ε/(a − ε) is no bound (ε ≥ a)"
+    ) + (f", proved ≤ {rigorous:.2g}" if rigorous is not None else ", no proved bound")
+    z_bar = ", ".join(f"{v:.6g}" if abs(v) > _NOTHING else "0" for v in design.z_bar[:_MANY])
+    z_bar += ", …" if len(design.z_bar) > _MANY else ""
+    return [
+        (
+            "design",
+            f"{xi}; loss ε = {block['loss']:.2g} at a = {design.a:.4g}; IPOPT: "
+            f"{best.explained.meaning}, {best.iterations} iterations, "
+            f"{sum(s.seconds for s in design.starts):.3f} s{starts}",
+        ),
+        ("minimum", f"z̄ = ({z_bar}); ‖z̄ − z*‖ = {block['distance']:.2g}; {bounds}"),
+        (
+            "loop",
+            f"D = {_matrix(design.D)}, Dc = {_matrix(design.Dc)}; spectral abscissa "
+            f"{block['spectral_abscissa']:.4g} 1/s; least eigenvalue of ∇²V(z̄) "
+            f"{block['hessian_min_eig']:.4g}",
+        ),
+    ]
+
+
+def _sampled(sampling: SampledLoop) -> str:
+    limit = (
+        "no largest stable sample time was found"
+        if sampling.largest_stable is None
+        else f"stable up to {sampling.largest_stable:.3g} s"
+    )
+    return (
+        f"at {sampling.sample_time:g} s the sampled loop has spectral radius "
+        f"{sampling.spectral_radius:.4f} at z̄; {limit} (linearised)"
+    )
+
+
+def _learned(residual: Residual) -> str:
+    return (
+        "the Casimir is a network and holds only approximately: on "
+        f"{residual.points} points that it was not trained on, ‖∇Cᵀ(Jcl − Rcl)‖ relative to "
+        f"‖∇C‖‖Jcl − Rcl‖ is {residual.mean:.2g} on average, {residual.worst:.2g} at worst; "
+        "no decrease of V follows, so nothing is certified"
+    )
+
+
+def _matrix(D: np.ndarray) -> str:
+    diagonal = np.diag(np.diag(D))
+    if np.array_equal(D, diagonal):
+        values = [f"{v:.4g}" for v in np.diag(D)]
+        return values[0] if len(values) == 1 else f"diag({', '.join(values)})"
+    return str(np.round(D, 4).tolist())
+
+
+def _responses(found: Findings) -> str:
+    settled = [r for r in found.responses if r.converged]
+    text = f"{len(settled)} of {len(found.responses)} random starts settle within 2 %"
+    if settled:
+        slowest = max(r.settling_time for r in settled)
+        text += f", the slowest in {slowest:.3g} s"
+    peak = max(r.peak_input for r in found.responses)
+    return f"{text}; peak |u| {peak:.3g} (simulated)"
+
+
+def _region_rows(found: Findings, certificate: Certificate) -> list[tuple[str, str]]:
+    """The proved region beside the simulated one, so that what the proof leaves out is seen."""
+    claim = region_claim(certificate)
+    proved = claim is not None and claim.holds
+    if certificate.is_global:
+        head = "the whole space is proved: every solution converges to z̄"
+        if claim is None or not proved or not claim.data["domain_share"]:
+            return [("region", head)]
+        within = (
+            f"Ω = {{V ≤ {certificate.level:.6g}}}, ≥ {percent(claim.data['domain_share'])} of it"
+        )
+        return _block(head, [("domain", within)])
+    if claim is None or not proved:
+        where = "of the domain, momenta at rest,"
+        return [] if claim is None else _block("none is proved", _simulated(found, where))
+    data = claim.data
+    rows = [("proved", f"≥ {percent(data['domain_share'])} of the domain, momenta at rest")]
+    rows += _simulated(found, "there")
+    covered = (
+        ("slice", "slice_share", "from ξ(0) = ξ*"),
+        ("plant", "plant_share", "where ξ(0) may be chosen"),
+    )
+    rows += [
+        (label, f"≥ {percent(data[key])} of the plant states there, {how}")
+        for label, key, how in covered
+        if data.get(key) is not None
+    ]
+    if data.get("volume") is not None:
+        rows.append(("volume", f"≥ {rounded_down(data['volume'])}, momenta at rest"))
+    reach = _reach(found, data)
+    what = "every solution converges" if attracts(claim) else "solutions stay in it"
+    head = (
+        f"Ω = {{V ≤ {certificate.level:.6g}}} around z̄: {what}; limited by {certificate.limited_by}"
+    )
+    return _block(head, rows + ([("reach", reach)] if reach else []))
+
+
+def _simulated(found: Findings, where: str) -> list[tuple[str, str]]:
+    """The simulated share; where nothing is to converge there is none."""
+    if found.certificate is None or found.certificate.stability != "asymptotic":
+        return []
+    if found.simulated_share is None:
+        return [("simulated", "not known: some random states take too long")]
+    return [("simulated", f"{100 * found.simulated_share:.3g} % of random states {where} converge")]
+
+
+def _block(head: str, rows: list[tuple[str, str]]) -> list[tuple[str, str]]:
+    """Rows of a label and a text under one heading."""
+    return [("region", head), *(("", f"{label:<{_SUB}}{text}") for label, text in rows)]
+
+
+def _reach(found: Findings, data: Mapping[str, Any]) -> str:
+    """How far from z̄ states of Ω lie at least, for each state of which that is proved."""
+    units = found.loop.plant.units
+    parts = [
+        _tied(f"{name} ± {rounded_down(data[f'reach_{name}'])} {units.get(name, '')}".rstrip())
+        for name in found.loop.states
+        if data.get(f"reach_{name}") is not None
+    ]
+    more = ["…"] if len(parts) > _MANY else []
+    return ", ".join(parts[:_MANY] + more)
+
+
+def percent(share: float) -> str:
+    """A lower bound of a share, in percent."""
+    return f"{rounded_down(100 * share)} %"
+
+
+def rounded_down(value: float, digits: int = 2) -> str:
+    """A lower bound in few digits, rounded down so that it stays one."""
+    if not value > 0:
+        return "0"
+    exponent = math.floor(math.log10(value))
+    unit = 10.0 ** (exponent - digits + 1)
+    plain = max(digits, exponent + 1) if exponent < _PLAIN else digits  # 100, not 1e+02
+    return f"{math.floor(value / unit * (1 + 1e-12)) * unit:.{plain}g}"

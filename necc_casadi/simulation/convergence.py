@@ -1,0 +1,108 @@
+"""Many responses at once: from which states the loop converges."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+import numpy.typing as npt
+
+from necc_casadi.arrays import Vector
+from necc_casadi.designs.design import Design
+from necc_casadi.interrupts import interruptible
+from necc_casadi.simulation.responses import default_horizon
+
+__all__ = ["Arrivals", "converging", "simulated_share"]
+
+
+#: Many starts at once: one that comes this close, as a share of its first distance, converges.
+_ARRIVED = 0.01
+
+
+#: One that gets this many times as far from z̄ as the domain reaches does not.
+_LOST = 50.0
+
+
+#: Horizons that it may take: far from z̄ the linearisation says little about time.
+_PATIENCE = 4.0
+
+
+#: Steps per start at most, for up to so many states and fewer for more; the shortest step.
+_MOST_STEPS, _FEW_STATES, _LEAST_STEP = 4000, 8, 1e-7
+
+
+#: Random states that a simulated share rests on, and at least for loops with many states.
+_SAMPLES, _FEWEST_SAMPLES = 200, 20
+
+
+@dataclass(frozen=True, eq=False)
+class Arrivals:
+    """Which of many starts reach z̄."""
+
+    arrived: npt.NDArray[np.bool_]  # (B,) came to within 1 % of the first distance
+    unfinished: npt.NDArray[np.bool_]  # (B,) ran out of steps: not known
+
+
+def converging(design: Design, starts: npt.ArrayLike, *, tolerance: float = 1e-4) -> Arrivals:
+    """Whether the loop comes near z̄ within some default horizons, from states (B, n + nc).
+
+    Bogacki and Shampine's pair of orders 3 and 2 on all states at once, each with its own step.
+    """
+    horizon, z_bar = _PATIENCE * default_horizon(design), design.z_bar[:, None]
+    z = np.array(starts, float).T
+    lo, hi = design.domain.lo, design.domain.hi
+    lost = _LOST * float(np.linalg.norm(hi - lo))
+    near = _ARRIVED * np.linalg.norm(z - z_bar, axis=0)
+    arrived = near == 0
+    alive = np.flatnonzero(~arrived)
+    t, h = np.zeros(z.shape[1]), np.full(z.shape[1], horizon / 1000)
+    field = design.lyapunov.vector_field
+    slope = np.array(field(z), float)
+    for _ in range(_MOST_STEPS * _FEW_STATES // max(_FEW_STATES, len(z))):
+        if alive.size == 0:
+            break
+        with interruptible(), np.errstate(all="ignore"):
+            step, start = np.minimum(h[alive], horizon - t[alive]), z[:, alive]
+            end, end_slope, error = _step(field, start, slope[:, alive], step, tolerance)
+            good = error <= 1
+            moved = alive[good]
+            z[:, moved], slope[:, moved] = end[:, good], end_slope[:, good]
+            t[moved] += step[good]
+            growth = np.clip(0.9 * np.fmax(error, 1e-9) ** (-1 / 3), 0.2, 5.0)
+            h[alive] = step * np.where(np.isfinite(error), growth, 0.2)
+            distance = np.linalg.norm(z[:, alive] - z_bar, axis=0)
+        arrived[alive] = distance <= near[alive]
+        short = (h[alive] < _LEAST_STEP * horizon) & ~good
+        going = (distance < lost) & (t[alive] < horizon * (1 - 1e-9)) & ~short
+        alive = alive[going & ~arrived[alive]]
+    unfinished = np.zeros(z.shape[1], dtype=bool)
+    unfinished[alive] = True
+    return Arrivals(arrived, unfinished)
+
+
+def _step(
+    field: ca.Function, z: Vector, k1: Vector, h: Vector, tolerance: float
+) -> tuple[Vector, Vector, Vector]:
+    """(z, ż) after one step, and its error against the tolerance."""
+    k2 = np.array(field(z + 0.5 * h * k1), float)
+    k3 = np.array(field(z + 0.75 * h * k2), float)
+    end = z + h * (2 * k1 + 3 * k2 + 4 * k3) / 9
+    k4 = np.array(field(end), float)
+    difference = h * (-5 * k1 / 72 + k2 / 12 + k3 / 9 - k4 / 8)
+    scale = tolerance * (0.01 + np.fmax(np.abs(z), np.abs(end)))
+    return end, k4, np.asarray(np.abs(difference / scale).max(axis=0))
+
+
+def simulated_share(design: Design, resting: Sequence[int], seed: int = 0) -> float | None:
+    """Share of random states of the domain from which the loop converges; None: not known.
+
+    The plant states `resting` start at 0, as a certificate's share of the domain has them.
+    """
+    lo, hi = design.domain.lo, design.domain.hi
+    count = max(_FEWEST_SAMPLES, int(_SAMPLES * min(1.0, (_FEW_STATES / lo.size) ** 2)))
+    starts = np.random.default_rng(seed).uniform(lo, hi, (count, lo.size))
+    starts[:, list(resting)] = 0.0
+    found = converging(design, starts)
+    return None if found.unfinished.any() else float(found.arrived.mean())

@@ -1,0 +1,166 @@
+"""The closed loop in time: error-controlled integration by SUNDIALS' CVODES through CasADi."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+import casadi as ca
+import numpy as np
+import numpy.typing as npt
+
+from necc_casadi.arrays import Vector
+from necc_casadi.designs.design import Design
+from necc_casadi.interrupts import interruptible
+
+__all__ = ["Trajectory", "default_horizon", "random_states", "simulate"]
+
+
+#: A response has settled when it stays within this share of its first distance from z̄.
+SETTLED = 0.02
+
+
+#: A mode that decays slower than this share of the fastest rate is taken as not decaying.
+_DECAYS = 1e-4
+
+
+#: Periods of the fastest oscillation that a response spans at most.
+_MOST_PERIODS = 1000
+
+
+_RELATIVE, _ABSOLUTE = 1e-9, 1e-11
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """One closed-loop response on a time grid."""
+
+    t: Vector  # (N,) s
+    z: Vector  # (N, n + nc) plant states, then controller states
+    u: Vector  # (N, m) inputs
+    V: Vector  # (N,) Lyapunov function
+    z_bar: Vector  # (n + nc,) where it should go
+    V_bar: float  # V(z̄)
+    complete: bool  # False: the integrator gave up, the arrays end there
+
+    @property
+    def settling_time(self) -> float:
+        """Time after which ‖z − z̄‖ stays within 2 % of its initial value, s; inf if never."""
+        away = self.z - self.z_bar
+        if not np.all(np.isfinite(away)):
+            return float("inf")
+        size = float(np.abs(away).max()) or 1.0  # so that squares of huge states do not overflow
+        distance = np.linalg.norm(away / size, axis=1)
+        outside = np.flatnonzero(distance > SETTLED * distance[0])
+        if outside.size == 0:
+            return 0.0
+        if not self.complete or outside[-1] + 1 >= len(self.t):
+            return float("inf")
+        return float(self.t[outside[-1] + 1])
+
+    @property
+    def converged(self) -> bool:
+        """Whether it has settled within the horizon."""
+        return bool(np.isfinite(self.settling_time))
+
+    @property
+    def peak_input(self) -> float:
+        """Max |u| over time and inputs."""
+        return float(np.abs(self.u).max())
+
+    def csv(self, names: Sequence[str]) -> str:
+        """The response as CSV with a header: t, states, inputs, V."""
+        header = ["t", *names, *[f"u{i + 1}" for i in range(self.u.shape[1])], "V"]
+        rows = np.column_stack([self.t, self.z, self.u, self.V])
+        lines = [",".join(header), *[",".join(map(repr, map(float, row))) for row in rows]]
+        return "\n".join(lines) + "\n"
+
+
+@lru_cache(maxsize=4)
+def default_horizon(design: Design) -> float:
+    """A time in which the slowest decaying mode falls well below 2 %, s.
+
+    No more than so many periods of the fastest oscillation: a lossless line with many states
+    takes longer to settle than anyone wants to integrate with error control.
+    """
+    spectrum = np.linalg.eigvals(design.lyapunov.linearisation(design.z_bar))
+    fastest = float(np.abs(spectrum).max())
+    decaying = [-v.real for v in spectrum if -v.real > _DECAYS * fastest]
+    settled = 8.0 / min(decaying) if decaying else 30.0
+    oscillation = float(np.abs(spectrum.imag).max())
+    return min(settled, _MOST_PERIODS * 2 * np.pi / oscillation) if oscillation else settled
+
+
+def random_states(design: Design, count: int, seed: int = 0) -> list[Vector]:
+    """Plant states drawn uniformly from the middle half of the domain, (n,) each."""
+    rng = np.random.default_rng(seed)
+    n = design.loop.plant.n
+    lo, hi = design.domain.lo, design.domain.hi
+    return [
+        z[:n] for z in rng.uniform(0.75 * lo + 0.25 * hi, 0.25 * lo + 0.75 * hi, (count, len(lo)))
+    ]
+
+
+def simulate(
+    design: Design,
+    x0: npt.ArrayLike,
+    xi0: npt.ArrayLike | None = None,
+    *,
+    time: float | None = None,
+    points: int = 501,
+) -> Trajectory:
+    """Integrate the damped closed loop from (x0, ξ0).
+
+    Parameters
+    ----------
+    design
+        The design.
+    x0
+        Plant state (n,).
+    xi0
+        Controller state (nc,); ξ* by default, as ``necc_init`` sets it.
+    time
+        Horizon, s; by default long enough for the slowest mode.
+    points
+        Number of output times.
+    """
+    V = design.lyapunov
+    xi = design.xi_star if xi0 is None else np.asarray(xi0, float)
+    z0 = np.concatenate([np.asarray(x0, float), xi])
+    grid = np.linspace(0.0, default_horizon(design) if time is None else float(time), points)
+    integrator = _integrator(design, float(grid[-1]), points)
+    try:
+        with interruptible():
+            states = np.column_stack([z0, np.asarray(integrator(x0=z0)["xf"], float)]).T
+        complete = bool(np.all(np.isfinite(states)))
+    except RuntimeError:  # the integrator's way to say that it cannot go on
+        states, complete = z0[None, :], False
+    n, count = V.terms.n, len(states)
+    inputs, _ = V.control_law.map(count)(states[:, :n].T, states[:, n:].T)
+    values = V.V.map(count)(states.T)
+    return Trajectory(
+        t=grid[: len(states)],
+        z=states,
+        u=np.asarray(inputs, float).reshape(V.terms.m, count).T,
+        V=np.asarray(values, float).ravel(),
+        z_bar=design.z_bar,
+        V_bar=design.V(design.z_bar),
+        complete=complete,
+    )
+
+
+@lru_cache(maxsize=4)
+def _integrator(design: Design, horizon: float, points: int) -> ca.Function:
+    """CVODES from z0 over `points` equidistant times; kept, because building it takes longer."""
+    z = ca.MX.sym("z", len(design.loop.z))
+    options = {
+        "abstol": _ABSOLUTE,
+        "reltol": _RELATIVE,
+        "max_num_steps": 100_000,
+        "show_eval_warnings": False,
+        "disable_internal_warnings": True,
+    }
+    field = {"x": z, "ode": design.lyapunov.vector_field(z)}
+    grid = np.linspace(0.0, horizon, points)[1:].tolist()
+    return ca.integrator("response", "cvodes", field, 0.0, grid, options)

@@ -1,0 +1,44 @@
+"""Gradients and Hessians of expressions."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import sympy as sp
+
+__all__ = ["at", "column", "gradient", "sparse_hessian"]
+
+
+def gradient(f: sp.Expr, variables: Sequence[sp.Symbol]) -> sp.ImmutableMatrix:
+    """∇f as a column, len(variables) × 1; a term costs only the variables that it contains."""
+    slopes: dict[sp.Symbol, list[sp.Expr]] = {v: [] for v in variables}
+    for term in sp.Add.make_args(f):
+        for v in term.free_symbols & slopes.keys():
+            slopes[v].append(sp.diff(term, v))
+    return sp.ImmutableMatrix([sp.Add(*terms) for terms in slopes.values()])
+
+
+def sparse_hessian(f: sp.Expr, variables: Sequence[sp.Symbol]) -> sp.ImmutableMatrix:
+    """∇²f; variables that do not occur together cost nothing."""
+    size = len(variables)
+    place = {v: i for i, v in enumerate(variables)}
+    entries: dict[tuple[int, int], sp.Expr] = {}
+    for i, slope in enumerate(gradient(f, variables)):
+        for j in sorted(place[v] for v in slope.free_symbols if v in place):
+            if j <= i:
+                entries[i, j] = entries[j, i] = sp.diff(slope, variables[j])
+    return sp.ImmutableMatrix(sp.SparseMatrix(size, size, entries))
+
+
+def column(entries: Sequence[sp.Expr]) -> sp.ImmutableMatrix:
+    """`entries` as one column."""
+    return sp.ImmutableMatrix(len(entries), 1, list(entries))
+
+
+def at(matrix: sp.MatrixBase, point: Mapping[sp.Symbol, sp.Expr]) -> sp.ImmutableMatrix:
+    """`matrix` at exact values of some symbols."""
+    entries = {}
+    for place, entry in matrix.todok().items():
+        known = {s: point[s] for s in entry.free_symbols if s in point}
+        entries[place] = entry.subs(known) if known else entry
+    return sp.ImmutableMatrix(sp.SparseMatrix(*matrix.shape, entries))

@@ -1,0 +1,73 @@
+"""Observability of a pair of exact matrices, decided by certain ranks."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import flint
+import numpy as np
+import sympy as sp
+
+from necc_casadi.symbolic.arb import ball
+from necc_casadi.symbolic.finite_field import Residues, values
+
+__all__ = ["as_balls", "certain_rank", "observability_matrix", "residues"]
+
+
+def observability_matrix(A: Any, output: Any, prime: int) -> Residues:
+    """Independent rows that span those of output·Aᵏ, k = 0, 1, …."""
+    span, size = _reduced(output, prime)
+    while True:
+        joined = span.tolist() + (span * A).tolist()
+        entries = [int(v) for row in joined for v in row]
+        larger, rank = _reduced(flint.nmod_mat(len(joined), A.ncols(), entries, prime), prime)
+        if rank == size:
+            table = [[int(v) for v in row] for row in larger.tolist()]
+            return np.array(table, dtype=np.int64).reshape(size, A.ncols())
+        span, size = larger, rank
+
+
+def as_balls(matrix: sp.Matrix) -> Any:
+    """The matrix in ball arithmetic."""
+    known: dict[sp.Expr, Any] = {}
+    return flint.arb_mat(matrix.rows, matrix.cols, [ball(e, known) for e in matrix])
+
+
+def certain_rank(A: Any, output: Any) -> int:
+    """Number of rows output·Aᵏ that are certainly independent, by elimination with balls."""
+    basis: list[tuple[int, list[Any]]] = []
+    block = output.tolist()
+    while block:
+        fresh = []
+        for candidate in block:
+            row = _eliminated(candidate, basis)
+            sizes = [0.0 if e.contains(0) else float(abs(e).mid()) for e in row]
+            lead = int(np.argmax(sizes))
+            if sizes[lead] > 0:
+                row = [e / row[lead] for e in row]
+                basis.append((lead, row))
+                fresh.append(row)
+        block = (flint.arb_mat(fresh) * A).tolist() if fresh else []
+    return len(basis)
+
+
+def _eliminated(row: list[Any], basis: list[tuple[int, list[Any]]]) -> list[Any]:
+    for column, pivot_row in basis:
+        factor = row[column]
+        if not factor.is_zero():
+            row = [a - factor * b for a, b in zip(row, pivot_row, strict=True)]
+            row[column] = flint.arb(0)
+    return row
+
+
+def _reduced(matrix: Any, prime: int) -> tuple[Any, int]:
+    """Nonzero rows of the reduced echelon form, and their number."""
+    reduced, size = matrix.rref()
+    rows = reduced.tolist()[:size]
+    return flint.nmod_mat(size, matrix.ncols(), [int(v) for row in rows for v in row], prime), size
+
+
+def residues(matrix: sp.Matrix, prime: int) -> Any:
+    """The matrix at a random point modulo `prime`."""
+    table = values(list(matrix), 1, prime=prime)[0]
+    return flint.nmod_mat(matrix.rows, matrix.cols, [int(v) for v in table], prime)

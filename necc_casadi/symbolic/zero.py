@@ -1,0 +1,143 @@
+"""Exact decisions on symbolic scalars and matrices: zero, sign, rank, definiteness.
+
+Each answer is True (proved), False (refuted) or None (not decided); None is
+never turned into a yes. Refutations come from exact values or from
+high-precision values far from zero, proofs from symbolic algebra.
+"""
+
+from __future__ import annotations
+
+import math
+import random
+from collections.abc import Iterable, Mapping
+from functools import lru_cache
+
+import sympy as sp
+
+from necc_casadi.symbolic.expressions import is_finite
+
+__all__ = ["DIGITS", "PROBES", "is_small", "is_zero", "normal_form", "random_point", "sign"]
+
+
+DIGITS = 40
+
+
+PROBES = 3
+
+
+def random_point(
+    symbols: Iterable[sp.Symbol],
+    seed: int = 0,
+    box: Mapping[sp.Symbol, tuple[sp.Expr, sp.Expr]] | None = None,
+) -> dict[sp.Symbol, sp.Rational]:
+    """Rational values, one per symbol: inside `box` where it names the symbol, else in [-2, 2].
+
+    Symbols that are declared positive stay positive.
+    Denominators are primes near 1000, so that a generic property holds there unless unlucky.
+    """
+    rng = random.Random(seed)
+    point = {}
+    for symbol in sorted(symbols, key=str):
+        lowest = sp.Rational(1, 8) if symbol.is_positive else sp.Integer(-2)
+        lo, hi = (box or {}).get(symbol, (lowest, sp.Integer(2)))
+        lo, hi = sp.Rational(str(sp.N(lo, 17))), sp.Rational(str(sp.N(hi, 17)))
+        fraction = sp.Rational(rng.randrange(1, 1009), 1009)
+        point[symbol] = sp.Rational(str(sp.N(lo + (hi - lo) * fraction, 8)))
+    return point
+
+
+@lru_cache(maxsize=65536)
+def sign(expr: sp.Expr) -> int | None:
+    """Sign of a real constant, exactly: -1, 0 or 1; None where it is not a finite real number."""
+    expr = sp.sympify(expr)
+    if expr.is_Rational:
+        return int(sp.sign(expr))
+    if not expr.is_number or not is_finite(expr):
+        return None
+    value = _probe(expr)
+    if value is None or abs(sp.im(value)) > sp.Float(10) ** (-DIGITS // 2):
+        return None
+    if abs(value) > sp.Float(10) ** (-DIGITS // 2):
+        return 1 if sp.re(value) > 0 else -1
+    if sp.simplify(expr) == 0 or expr.equals(0):
+        return 0
+    value = sp.re(expr.evalf(1000, maxn=5000))  # a very small number that is not zero?
+    if value.is_comparable and value != 0 and abs(value) > sp.Float(10) ** -900:
+        return 1 if value > 0 else -1
+    return None
+
+
+def _probe(expr: sp.Expr) -> sp.Expr | None:
+    value = expr.evalf(DIGITS, maxn=4 * DIGITS)
+    return value if value.is_number and value.is_finite is not False and value != sp.nan else None
+
+
+@lru_cache(maxsize=65536)
+def is_zero(expr: sp.Expr) -> bool | None:
+    """Whether `expr` vanishes identically in its symbols."""
+    expr = sp.sympify(expr)
+    if expr == 0:
+        return True
+    if not expr.free_symbols:
+        value = sign(expr)
+        return None if value is None else value == 0
+    for seed in range(PROBES):
+        value = _probe(expr.subs(random_point(expr.free_symbols, seed)))
+        if value is None or not is_small(sp.im(value)):
+            continue  # outside the domain of a root or a logarithm: shows nothing
+        if not is_small(value):
+            return False
+    attempts = (sp.expand, normal_form, sp.trigsimp, sp.simplify)
+    return True if any(attempt(expr) == 0 for attempt in attempts) else None
+
+
+def normal_form(expr: sp.Expr) -> sp.Expr:
+    """A numerator of `expr` in which sums of angles, sin² + cos² = 1 and exp(a + b) are resolved.
+
+    It is 0 for every rational function of the states, of sines and cosines of their rational
+    combinations and of exponentials that vanishes identically.
+    """
+    expr = expr.replace(
+        lambda e: isinstance(e, (sp.sinh, sp.cosh, sp.tanh)), lambda e: e.rewrite(sp.exp)
+    )
+    expr = expr.replace(
+        lambda e: isinstance(e, sp.tan), lambda e: sp.sin(*e.args) / sp.cos(*e.args)
+    )
+    expr = _whole_angles(expr)
+    expr = sp.expand_trig(expr) if expr.has(sp.sin, sp.cos) else expr
+    expr = sp.expand_power_exp(expr) if expr.has(sp.exp) else expr
+    angles = {f.args[0] for f in expr.atoms(sp.sin, sp.cos)}
+    pairs = {a: (sp.Dummy("c"), sp.Dummy("s")) for a in angles}
+    expr = expr.xreplace(
+        {f: pairs[f.args[0]][int(isinstance(f, sp.sin))] for f in expr.atoms(sp.sin, sp.cos)}
+    )
+    result = sp.expand(sp.numer(sp.together(expr)))
+    for cosine, sine in pairs.values():
+        if result.has(sine) and result.is_polynomial(sine):
+            result = sp.rem(result, sine**2 + cosine**2 - 1, sine)
+            result = sp.expand(result)
+    return result
+
+
+def _whole_angles(expr: sp.Expr) -> sp.Expr:
+    """`expr` with every symbol scaled so that angles and exponents have integer coefficients."""
+    arguments = [f.args[0] for f in expr.atoms(sp.sin, sp.cos, sp.exp)]
+    terms = [t for a in arguments for t in sp.Add.make_args(sp.expand(a))]
+    factors = [t.as_coeff_Mul()[0] for t in terms]
+    scale = math.lcm(*[int(f.q) for f in factors if f.is_Rational])
+    if scale == 1:
+        return expr.replace(
+            lambda e: isinstance(e, (sp.sin, sp.cos, sp.exp)),
+            lambda e: e.func(sp.expand(e.args[0])),
+        )
+    units = {t.as_coeff_Mul()[1] for t in terms if t.free_symbols}
+    scaled = {u: scale * sp.Dummy(real=True) for u in units}
+    return expr.replace(
+        lambda e: isinstance(e, (sp.sin, sp.cos, sp.exp)),
+        lambda e: e.func(sp.expand(sp.expand(e.args[0]).subs(scaled))),
+    )
+
+
+def is_small(value: sp.Expr) -> bool:
+    """Whether a number is zero to half of the digits that were computed."""
+    return bool(abs(value) < sp.Float(10) ** (-DIGITS // 2))

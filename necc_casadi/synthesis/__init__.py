@@ -1,0 +1,1 @@
+"""From a verdict to a design: training, shaping and damping (eq. Loss)."""

@@ -1,0 +1,98 @@
+"""Quadratic parts stiff enough for V to be convex everywhere, where the plant allows it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import casadi as ca
+import numpy as np
+import sympy as sp
+
+from necc_casadi.arrays import Vector
+from necc_casadi.lyapunov.lyapunov import Terms
+from necc_casadi.lyapunov.networks import KAPPA_MIN
+from necc_casadi.synthesis.units import Scales
+from necc_casadi.verdict.verdict import Verdict
+
+__all__ = ["least_kappa"]
+
+
+_SAMPLES = 400
+
+
+#: Least eigenvalue, relative to the reference stiffness, that quadratic parts alone must reach
+#: at every sample: what is left for the networks to take away.
+_MARGIN = 0.15
+
+
+#: Curvature at z* beyond the one asked for.
+_TO_SPARE = 1.2
+
+
+_STIFFEST = 1e4
+
+
+def least_kappa(
+    terms: Terms, scales: Scales, verdict: Verdict, x_star: Vector, xi_star: Vector, a: float
+) -> float:
+    """The least κ, in natural units, for which quadratic parts alone make V convex at samples.
+
+    They must also reach the curvature `a` at z*, with something to spare, so that the networks
+    need not. The samples fill twice the natural domain, whole turns of an angle included. A
+    certificate, not this search, says whether V is convex everywhere. Where no stiffness helps
+    (H curves downwards somewhere along an invisible direction) the default bound is returned.
+    """
+    hessians = _hessians(terms, scales, verdict, np.concatenate([x_star, xi_star]))
+    relative = np.outer(scales.state, scales.state) / scales.energy
+
+    def lowest(kappa: float) -> tuple[float, float]:
+        at_target, around = hessians(kappa)
+        least = np.linalg.eigvalsh(at_target)[0], np.linalg.eigvalsh(around * relative).min()
+        return float(least[0]), float(least[1])
+
+    # invisible directions have the curvature of H and no more: ask for what can be reached
+    top, margin = lowest(_STIFFEST)
+    if top <= a or margin <= 0:
+        return KAPPA_MIN
+    needed = min(_TO_SPARE * a, (a + top) / 2), min(_MARGIN, margin / 2)
+
+    def convex(kappa: float) -> bool:
+        reached = lowest(kappa)
+        return reached[0] >= needed[0] and reached[1] >= needed[1]
+
+    upper = 1.0
+    while upper < _STIFFEST and not convex(upper):
+        upper *= 2
+    lower = 0.0 if upper == 1.0 else upper / 2
+    for _ in range(20):
+        middle = (lower + upper) / 2
+        lower, upper = (lower, middle) if convex(middle) else (middle, upper)
+    return upper
+
+
+def _hessians(
+    terms: Terms, scales: Scales, verdict: Verdict, z_star: Vector
+) -> Callable[[float], tuple[Vector, Vector]]:
+    """κ ↦ ∇²V at z* and at the samples, V = H + λᵀc + ½κ(‖ξ‖² + ‖c − c*‖²) in natural units."""
+    n = terms.n
+    z, kappa = ca.MX.sym("z", len(z_star)), ca.MX.sym("kappa")
+    c, c_star = terms.c(z), np.asarray(terms.c(z_star), float)
+    slope = ca.Function("dc", [z], [ca.jacobian(c, z)])
+    reach = (np.abs(np.asarray(slope(z_star), float)) * scales.state).max(axis=1, initial=0.0)
+    reach[reach == 0] = 1.0
+    lam = np.zeros(terms.r)
+    if verdict.lam is not None and len(verdict.lam) == terms.r:
+        lam = np.array([float(sp.N(v)) for v in verdict.lam])
+    stretch = ca.sumsqr(z[n:] / scales.state[n:]) + ca.sumsqr((c - c_star) / reach)
+    V = terms.H(z[:n]) + ca.dot(lam, c) + kappa * scales.energy / 2 * stretch
+    hessian = ca.Function("hessian", [z, kappa], [ca.hessian(V, z)[0]])
+    offsets = np.random.default_rng(0).uniform(-4, 4, (_SAMPLES, len(z_star)))
+    samples = z_star + offsets * scales.state
+
+    def at(value: float) -> tuple[Vector, Vector]:
+        columns = np.asarray(hessian.map(len(samples))(samples.T, value), float)
+        blocks = columns.reshape(len(z_star), len(samples), len(z_star)).swapaxes(0, 1)
+        finite = blocks[np.isfinite(blocks).all(axis=(1, 2))]
+        return np.asarray(hessian(z_star, value), float), finite
+
+    return at

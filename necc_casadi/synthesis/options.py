@@ -1,0 +1,124 @@
+"""Options of the synthesis, and what they mean for the networks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from necc_casadi.arrays import Vector
+from necc_casadi.errors import OptionError
+from necc_casadi.lyapunov.networks import MonotonePhi, Network
+from necc_casadi.lyapunov.parameterization import Form
+from necc_casadi.synthesis.units import Scales
+from necc_casadi.verdict.verdict import Verdict
+
+__all__ = ["SHAPES", "Options", "check_options", "default_a", "form_of", "paper_options"]
+
+
+#: Curvature asked for by default, as a share of the reference stiffness.
+_DEFAULT_A = 0.5
+
+
+#: What can be asked for; "none" leaves V to the conditions at z*.
+SHAPES = ("none", "regulariser", "level")
+
+
+@dataclass(frozen=True)
+class Options:
+    """What a user may choose about a design; None means that the design chooses."""
+
+    hidden_k: tuple[int, ...] = (64,)
+    hidden_h: tuple[int, ...] = (32,)
+    activation: str = "tanh"
+    quadratic: bool = True  # adds a positive quadratic part to K and Hc
+    casimir_form: str = "joint"  # "sum": K(Σ βᵢ(cᵢ)), "joint": K(c₁, …, c_r)
+    phi: str = "sum"  # "sum": Φ = H + Hc + C, "neural": MonotonePhi
+    a: float | None = None
+    keep_a: bool = False  # ask for `a` even where no network can reach it
+    D: Vector | None = None  # m × m
+    Dc: Vector | None = None  # m × m
+    convex: bool = False  # quadratic parts stiff enough to make V convex everywhere
+    learn_casimir: bool = False  # a network C(z), a Casimir only approximately
+    shape: str = "none"  # what is asked of V over the domain: a key of SHAPES
+    gamma: float | None = None  # of the regulariser: ‖z − z*‖² ≤ γ ΔV on average, natural units
+    natural_units: bool = True  # scale the networks to the plant's domain and energy
+    seed: int = 0
+    starts: int = 1
+    verbose: bool = False
+
+
+def paper_options(m: int) -> Options:
+    """The published form (Section IV): plain tanh MLPs, Φ = H + Hc + C, a = 0.5, D = 5, Dc = 6."""
+    return Options(
+        quadratic=False,
+        casimir_form="sum",
+        a=0.5,
+        natural_units=False,
+        D=5.0 * np.eye(m),
+        Dc=6.0 * np.eye(m),
+    )
+
+
+def check_options(options: Options) -> None:
+    """Refuse options that do not go together.
+
+    Raises
+    ------
+    OptionError
+        For an unknown shape, a γ that is not positive, or a form that cannot be shaped.
+    """
+    if options.shape not in SHAPES:
+        raise OptionError(
+            "usage", f"--shape {options.shape} is not known", f"Choose from {', '.join(SHAPES)}."
+        )
+    if options.gamma is not None and options.shape != "regulariser":
+        raise OptionError(
+            "usage",
+            f"--gamma {options.gamma:g} belongs to the regulariser, but the shape is "
+            f"{options.shape}",
+            "Add --shape regulariser, or drop --gamma.",
+        )
+    if options.gamma is not None and not 0 < options.gamma < np.inf:
+        raise OptionError(
+            "usage", f"--gamma {options.gamma} is not a positive number", "Try --gamma 1."
+        )
+    if options.shape == "none":
+        return
+    for clash, name, remedy in (
+        (options.phi != "sum", "--phi neural", "Drop it: Φ = H + Hc + C can be shaped."),
+        (options.learn_casimir, "--learn-casimir", "Drop one: nothing is certified from it."),
+        (options.convex, "--global", "Drop one: V convex everywhere, or wide in the domain."),
+    ):
+        if clash:
+            raise OptionError(
+                "usage", f"--shape {options.shape} and {name} exclude each other", remedy
+            )
+
+
+def form_of(options: Options, nc: int, r: int) -> Form:
+    """The networks of V for nc controller states and r Casimirs."""
+
+    def network(inputs: int, hidden: tuple[int, ...], quadratic: bool) -> Network:
+        return Network(inputs, hidden, options.activation, quadratic)
+
+    joint = options.casimir_form == "joint" or r == 1
+    betas = () if joint else tuple(network(1, options.hidden_k, False) for _ in range(r))
+    return Form(
+        hc=network(nc, options.hidden_h, options.quadratic),
+        k=network(
+            r if joint else 1,
+            options.hidden_k,
+            options.quadratic and not options.learn_casimir,
+        ),
+        betas=betas,
+        phi=MonotonePhi() if options.phi == "neural" else None,
+    )
+
+
+def default_a(scales: Scales, verdict: Verdict) -> float:
+    """Half of the reference stiffness, and no more than half of the ceiling."""
+    a = _DEFAULT_A * float(scales.stiffness.min())
+    if verdict.a_max is not None:
+        a = min(a, 0.5 * verdict.a_max)
+    return float(f"{a:.3g}")

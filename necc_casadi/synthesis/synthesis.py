@@ -1,0 +1,87 @@
+"""From a judged target to a finished Design: networks, training, damping."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+import numpy as np
+import sympy as sp
+
+from necc_casadi.casimirs.casimirs import Casimirs
+from necc_casadi.designs.design import Design
+from necc_casadi.designs.outcome import Start
+from necc_casadi.lyapunov.lyapunov import LyapunovFunction
+from necc_casadi.model.closed_loop import ClosedLoop
+from necc_casadi.synthesis.damping import choose_damping
+from necc_casadi.synthesis.learned_casimir import casimir_residual
+from necc_casadi.synthesis.options import Options
+from necc_casadi.synthesis.plan import make_plan
+from necc_casadi.synthesis.training import train
+from necc_casadi.verdict.verdict import Verdict
+
+__all__ = ["design"]
+
+
+def design(
+    loop: ClosedLoop,
+    casimirs: Casimirs,
+    verdict: Verdict,
+    x_star: Mapping[sp.Symbol, sp.Expr],
+    options: Options | None = None,
+    report: Callable[[Start], None] | None = None,
+) -> Design:
+    """Train V at x* and choose the damping.
+
+    The design that is returned was written to text and read back, so that whatever is proved,
+    simulated or exported is what is stored.
+
+    Parameters
+    ----------
+    loop, casimirs, verdict
+        Closed loop, its closed-form Casimirs and the verdict at x*.
+    x_star
+        Target, exact, plant symbols to values.
+    options
+        Form of the networks and what to ask of them.
+    report
+        Called with the outcome of each start of the solver.
+    """
+    options = options or Options()
+    plan = make_plan(loop, casimirs, verdict, x_star, options)
+    terms, form = plan.terms, plan.form
+    solution = train(
+        terms,
+        form,
+        plan.x,
+        a=plan.a,
+        scales=plan.scales,
+        anchor=plan.anchor,
+        extra=plan.extra,
+        seed=options.seed,
+        starts=options.starts,
+        report=report,
+        verbose=options.verbose,
+    )
+    weights, z_star = solution.weights, np.concatenate([plan.x, solution.xi_star])
+    undamped = LyapunovFunction(terms, form, weights, np.eye(terms.m), np.eye(terms.m))
+    D, Dc = choose_damping(undamped, loop, z_star, options.D, options.Dc)
+    learned = None
+    if options.learn_casimir:
+        learned = casimir_residual(terms, form, weights, plan.natural, z_star, options.seed)
+    made = Design(
+        loop=loop,
+        casimirs=plan.casimirs,
+        x_star=tuple(x_star[s] for s in loop.plant.x),
+        verdict=verdict,
+        form=form,
+        weights=weights,
+        xi_star=solution.xi_star,
+        D=D,
+        Dc=Dc,
+        a=plan.a,
+        a_requested=plan.a_requested,
+        seed=options.seed,
+        starts=solution.starts,
+        learned=learned,
+    )
+    return Design.from_text(made.text)

@@ -1,0 +1,1 @@
+"""Whether a target can be assigned (eq. LocalMinimumCondition), decided exactly."""

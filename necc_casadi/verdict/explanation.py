@@ -1,0 +1,233 @@
+"""The verdict in plain words: what fails, which coordinate, what would help."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import sympy as sp
+
+from necc_casadi.casimirs.casimirs import Casimirs
+from necc_casadi.model.closed_loop import ClosedLoop
+from necc_casadi.symbolic.expressions import is_finite
+from necc_casadi.symbolic.linear_algebra import generic_rank, kernel
+from necc_casadi.symbolic.zero import is_zero
+from necc_casadi.verdict.conditions import LocalConditions, TargetDerivatives
+
+__all__ = ["direction_name", "explain"]
+
+
+_MOST_NAMES = 5
+
+
+def explain(
+    loop: ClosedLoop,
+    casimirs: Casimirs,
+    x_star: Mapping[sp.Symbol, sp.Expr],
+    data: TargetDerivatives,
+    reason: str,
+    local: LocalConditions,
+    stability: str | None,
+    witness: str | None,
+) -> str:
+    """One or two sentences for an engineer."""
+    if reason == "not_an_equilibrium":
+        return _off_equilibrium(loop, x_star)
+    if reason == "ok":
+        return _accepted(loop, casimirs, local, stability, witness)
+    if reason == "undecided":
+        return _undecided(loop, casimirs, data, local)
+    fault, w = _failure(loop, casimirs, local)
+    if reason == "needs_decreasing_phi":
+        return (
+            f"{fault}: no Φ with Φ₁ > 0 assigns this target. The loop is lossless, so Φ₁ < 0 "
+            "(a maximum of H + Hc + C) would; it gives up the decrease of V under dissipation."
+        )
+    return f"{fault}: {_consequence(reason)} {_remedy(loop, x_star, w)}"
+
+
+def _consequence(reason: str) -> str:
+    if reason == "invisible_flat_curvature":
+        return "no choice of K and Hc makes ∇²V positive definite here."
+    return "no choice of K and Hc with Φ₁ > 0 asymptotically stabilises this target."
+
+
+def _off_equilibrium(loop: ClosedLoop, x_star: Mapping[sp.Symbol, sp.Expr]) -> str:
+    values = []
+    for equation in loop.plant.equilibrium_equations:
+        value = equation.subs({s: x_star[s] for s in equation.free_symbols})
+        if is_zero(value) is not True:
+            values.append(f"{short(equation)} = {number(value)}, which must be 0")
+    detail = "; ".join(values[:2]) or "G⊥(J − R)∇H ≠ 0"
+    return (
+        f"no constant input holds this target: {detail}. "
+        "Choose a target where the unactuated rates vanish."
+    )
+
+
+def _accepted(
+    loop: ClosedLoop,
+    casimirs: Casimirs,
+    local: LocalConditions,
+    stability: str | None,
+    witness: str | None,
+) -> str:
+    through = f" through {_casimir_list(casimirs)}" if casimirs.functions else " without a Casimir"
+    text = f"assignable{through}"
+    ceiling = local.best.ceiling if local.best is not None else None
+    if ceiling is not None and local.invisible.cols:
+        text += f"; with Φ₁ = 1 the Hessian's least eigenvalue stays below {ceiling:.4g}"
+    text += "."
+    if stability == "stable":
+        text += f" Only stable, not asymptotically: {witness}."
+    elif stability is None and witness:
+        text += f" Asymptotic stability is not decided: {witness}."
+    return text
+
+
+def _undecided(
+    loop: ClosedLoop, casimirs: Casimirs, data: TargetDerivatives, local: LocalConditions
+) -> str:
+    if not all(is_finite(e) for e in (*data.grad_H, *data.hess_H)):
+        return "not decided: H is not smooth at the target. Choose a target where it is."
+    missing = casimirs.generic_count - len(casimirs.functions)
+    if missing > 0:
+        cause = (
+            f"{casimirs.generic_count} Casimirs exist and {len(casimirs.functions)} are known in "
+            "closed form; the missing one may cure the failing condition. Supply it in the model "
+            "file: casimirs = [...]."
+        )
+    elif len(data.used) < data.count:
+        cause = (
+            "a Casimir is singular at the target, so a refusal would not be proved. Supply a form "
+            "that is finite there: casimirs = [...], or move the target slightly."
+        )
+    else:
+        cause = (
+            "the Casimirs' gradients are dependent at the target or depend on ξ*, so a refusal "
+            "would not be proved. Supply other forms (casimirs = [...]) or move the target."
+        )
+    if local.reason not in ("undecided", "ok"):
+        fault, _ = _failure(loop, casimirs, local)
+        return f"{fault}, but {cause}"
+    return f"not decided: {cause}"
+
+
+def _failure(
+    loop: ClosedLoop, casimirs: Casimirs, local: LocalConditions
+) -> tuple[str, sp.MatrixBase | None]:
+    """What fails along which direction, and the direction in the plant's coordinates."""
+    x, W = loop.plant.x, local.invisible
+    if local.gradient is False:
+        j = next(j for j in range(W.cols) if is_zero(local.slope[j]) is False)
+        w = W[:, j]
+        name = direction_name(x, w)
+        return (
+            f"{name} is invisible to {_casimir_list(casimirs)} and H slopes along it "
+            f"({number(local.slope[j])})",
+            w,
+        )
+    best = local.best
+    if best is None or best.direction is None:
+        return (
+            f"the invisible directions of {_casimir_list(casimirs)} leave H curved downwards for "
+            "every λ",
+            None,
+        )
+    w = W * best.direction
+    shape = "curves downwards" if best.kind == "negative" else "is exactly flat"
+    return (
+        f"{direction_name(x, w)} is invisible to {_casimir_list(casimirs)} and H {shape} along it "
+        f"({number(best.value)})",
+        w,
+    )
+
+
+def _remedy(loop: ClosedLoop, x_star: Mapping[sp.Symbol, sp.Expr], w: sp.MatrixBase | None) -> str:
+    if w is None:
+        return "Add actuation, or choose another target."
+    obstacle = _dissipation_obstacle(loop, x_star, w)
+    if obstacle:
+        return obstacle
+    name = direction_name(loop.plant.x, w)
+    G = loop.plant.G.subs({s: x_star[s] for s in loop.plant.G.free_symbols})
+    if generic_rank(sp.Matrix(G).row_join(sp.Matrix(w))) == loop.plant.m:
+        return (
+            f"An input acts on {name}, but no Casimir ties it to the controller: try another "
+            "controller structure (Jc, Gc), or another target."
+        )
+    it = name if name in loop.plant.states else "along it"
+    return f"Actuate {it}, or choose a target at which H is at rest and curves upwards along it."
+
+
+def _dissipation_obstacle(
+    loop: ClosedLoop, x_star: Mapping[sp.Symbol, sp.Expr], w: sp.MatrixBase
+) -> str | None:
+    """The entry of R that hides w, if without R a constant kernel would see it."""
+    if loop.R.is_zero_matrix:
+        return None
+    point = {**x_star, **{s: sp.Rational(3, 7) for s in loop.controller.xi}}
+    J = loop.J.subs({s: v for s, v in point.items() if s in loop.J.free_symbols})
+    R = loop.R.subs({s: v for s, v in point.items() if s in loop.R.free_symbols})
+    lossless = kernel(sp.Matrix(J))
+    n = loop.plant.n
+    for k in range(lossless.cols):
+        v = lossless[:, k]
+        place = _dissipating_entry(sp.Matrix(R), v)
+        if place is None or is_zero((v[:n, :].T * w)[0]) is not False:
+            continue
+        i, j = place
+        label = f"R[{i},{j}]" if i < n else f"Rc[{i - n},{j - n}]"
+        return (
+            f"Dissipation obstacle: {label} = {short(loop.R[i, j])} dissipates in {loop.z[j]}, "
+            "which would have to be shaped. Remove that dissipation from the shaped coordinate, "
+            "or choose a target at which it is at rest."
+        )
+    return None
+
+
+def _dissipating_entry(R: sp.Matrix, v: sp.MatrixBase) -> tuple[int, int] | None:
+    """An entry of R through which Rv ≠ 0."""
+    lost = R * v
+    for i in range(R.rows):
+        if is_zero(lost[i]) is False:
+            return i, next(j for j in range(R.cols) if R[i, j] != 0 and v[j] != 0)
+    return None
+
+
+def direction_name(x: Sequence[sp.Symbol], w: sp.MatrixBase) -> str:
+    """A direction in the user's coordinates: ``θ``, or ``the direction q1 − 2·q2``."""
+    parts = [(x[i], w[i]) for i in range(len(x)) if w[i] != 0]
+    if len(parts) == 1:
+        return str(parts[0][0])
+    lead = max(abs(float(sp.N(value))) for _, value in parts)
+    terms = [(s, float(sp.N(value)) / lead) for s, value in parts]
+    shown = [_term(s, value) for s, value in terms if abs(value) > 1e-3][:_MOST_NAMES]
+    more = " + …" if len(parts) > _MOST_NAMES else ""
+    return "the direction " + " + ".join(shown).replace("+ -", "- ") + more
+
+
+def _term(s: sp.Symbol, value: float) -> str:
+    text = f"{abs(value):.4g}"
+    return ("-" if value < 0 else "") + (str(s) if text == "1" else f"{text}·{s}")
+
+
+def number(value: sp.Expr | None) -> str:
+    """A constant to four digits."""
+    return "?" if value is None else f"{float(sp.N(value)):.4g}"
+
+
+def short(expr: sp.Expr) -> str:
+    """The expression, or its beginning."""
+    text = str(expr)
+    return text if len(text) <= 80 else text[:79] + "…"
+
+
+def _casimir_list(casimirs: Casimirs) -> str:
+    names = [short(c) for c in casimirs.functions]
+    if not names:
+        return "the controller (the loop has no Casimir)"
+    if len(names) == 1:
+        return f"the only Casimir {names[0]}"
+    return f"the Casimirs {', '.join(names[:_MOST_NAMES])}" + (
+        ", …" if len(names) > _MOST_NAMES else ""
+    )
