@@ -1,0 +1,269 @@
+"""A certificate says what was proved and nothing else: every word of it is checked."""
+
+import copy
+import dataclasses
+import json
+
+import pytest
+import sympy as sp
+from helpers.constructed import make_design, mechanical, quadratic_pendulum
+from hypothesis import given
+from hypothesis import strategies as st
+
+from necc_casadi.casimirs.casimirs import Casimirs
+from necc_casadi.certificate.checker.check import check
+from necc_casadi.certificate.claims import statements
+from necc_casadi.certificate.claims.fields import Fields, read_fields
+from necc_casadi.certificate.prover.certify import certify
+from necc_casadi.certificate.prover.region import grid_search as search
+from necc_casadi.cli.certify import _certify
+from necc_casadi.cli.terminal import run
+from necc_casadi.lyapunov.networks import Network
+from necc_casadi.lyapunov.parameterization import Form
+from necc_casadi.model.closed_loop import interconnect
+from necc_casadi.model.controller import default_controller
+from necc_casadi.model.plant import make_plant
+
+#: Together longer than the quick suite can afford; CI runs them.
+pytestmark = pytest.mark.slow
+
+QUADRATIC = Form(Network(1, (), quadratic=True), Network(1, (), quadratic=True))
+
+
+def limited_pendulum():
+    """Every claim but `stability` is made and held."""
+    made = quadratic_pendulum()
+    plant = dataclasses.replace(made.loop.plant, u_limits=((-9.0, 9.0),))
+    return dataclasses.replace(made, loop=interconnect(plant, made.loop.controller))
+
+
+def double_well():
+    """No level above the saddle is proved: a critical point limits the region."""
+    plant = mechanical(lambda q, p: p**2 / 2 + (q**2 - 1) ** 2 / 4, 1)
+    return make_design(plant, (1, 0), QUADRATIC, [0, 0, 1.0, 0, 0, 0, 0.01, 1.0], [0.0])
+
+
+def frozen_beside():
+    """An oscillator beside a coordinate that no input reaches: z̄ is only stable."""
+    q, p, a = sp.symbols("q p a", real=True)
+    J = sp.zeros(3)
+    J[0, 1], J[1, 0] = 1, -1
+    plant = make_plant((q, p, a), J, sp.zeros(3), sp.Matrix([0, 1, 0]), (p**2 + q**2 + a**2) / 2)
+    loop = interconnect(plant, default_controller(plant))
+    weights = [0, 0, 1.0, 0, 0, 0, 1.0, 0]
+    return make_design(
+        plant, (0, 0, 0), QUADRATIC, weights, [0.0], casimirs=Casimirs((a,), 2, 2), loop=loop
+    )
+
+
+DESIGNS = {"limited": limited_pendulum, "well": double_well, "frozen": frozen_beside}
+
+
+@pytest.fixture(scope="module", params=DESIGNS)
+def folder(request, tmp_path_factory):
+    folder = tmp_path_factory.mktemp(request.param)
+    design = DESIGNS[request.param]()
+    design.save(folder / "design.json")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(search.GRID_CELLS, 2, 40**2)  # coarse, so that many checks are quick
+        certificate = certify(design)
+    assert certificate.certified
+    (folder / "certificate.json").write_text(certificate.to_json(), encoding="utf-8")
+    return folder
+
+
+def content(folder):
+    return json.loads((folder / "certificate.json").read_text(encoding="utf-8"))
+
+
+def held(data):
+    return [claim["name"] for claim in data["claims"] if claim["holds"]]
+
+
+def claim(data, name):
+    return next(claim for claim in data["claims"] if claim["name"] == name)
+
+
+@pytest.fixture
+def rejected(folder, tmp_path, capsys):
+    """altered certificate -> rows that do not hold; `necc-certify` must answer with 4."""
+
+    def rows(data) -> set[str]:
+        (tmp_path / "certificate.json").write_text(json.dumps(data), encoding="utf-8")
+        (tmp_path / "design.json").write_bytes((folder / "design.json").read_bytes())
+        assert run(_certify, [str(tmp_path), "--json"]) == 4
+        claims = json.loads(capsys.readouterr().out)["claims"]
+        return {claim["name"] for claim in claims if not claim["holds"]}
+
+    return rows
+
+
+def test_the_checker_words_each_held_claim_as_the_maker_did(folder, capsys):
+    data = content(folder)
+    results = {result.name: result for result in check(folder)}
+    assert all(result.holds for result in results.values())
+    assert set(results) == {"design", "contents", *held(data)}
+    for name in held(data):
+        assert results[name].statement == claim(data, name)["statement"]
+    assert run(_certify, [str(folder)]) == 0
+    shown = capsys.readouterr().out
+    assert all(claim(data, name)["statement"] in shown for name in held(data))
+
+
+def test_all_claims_are_among_the_designs():
+    names = {
+        name for make in DESIGNS.values() for name in held(json.loads(certify(make()).to_json()))
+    }
+    assert names == {
+        "equilibrium", "casimir", "structure", "slope", "damping", "decrease", "attraction",
+        "stability", "region", "input_limits", "global",
+    }  # fmt: skip
+
+
+def test_a_statement_in_other_words_is_rejected(folder, rejected):
+    data = content(folder)
+    for change in (lambda s: s + " and more", lambda s: s[:-1], lambda s: ""):
+        altered = copy.deepcopy(data)
+        for name in held(data):
+            claim(altered, name)["statement"] = change(claim(altered, name)["statement"])
+        assert rejected(altered) == set(held(data))
+
+
+def test_one_other_word_is_enough(folder, rejected):
+    for name in ("casimir", "decrease"):
+        altered = content(folder)
+        claim(altered, name)["statement"] += " and more"
+        assert rejected(altered) == {name}
+
+
+def test_a_bolder_region_is_rejected(folder, rejected):
+    """More of the domain, another limit, or more about the solutions than is proved."""
+    data = content(folder)
+    share, limit = data["domain_share"], data["limited_by"]
+    follows = claim(data, "region")["statement"].rpartition(")")[2]
+    wordings = [(1.2 * share, limit, follows), (share, "nothing", follows)]
+    if follows != statements.CONVERGES:
+        wordings.append((share, limit, statements.CONVERGES))
+    for size, reason, after in wordings:
+        altered = copy.deepcopy(data)
+        text = statements.region(data["level"], size, reason, after)
+        claim(altered, "region")["statement"] = text
+        assert "region" in rejected(altered)
+    altered = copy.deepcopy(data)
+    altered["limited_by"] = "nothing"
+    claim(altered, "region")["statement"] = statements.region(
+        data["level"], share, "nothing", follows
+    )
+    assert "region" in rejected(altered)
+
+
+def test_a_weaker_true_statement_is_accepted(folder, tmp_path, rejected):
+    data = content(folder)
+    region = claim(data, "region")
+    before, _, follows = region["statement"].rpartition(")")
+    region["statement"] = f"{before}){statements.INVARIANT}"
+    if follows == statements.CONVERGES:
+        (tmp_path / "certificate.json").write_text(json.dumps(data), encoding="utf-8")
+        (tmp_path / "design.json").write_bytes((folder / "design.json").read_bytes())
+        assert all(result.holds for result in check(tmp_path))
+    elif follows == statements.STABLE:
+        assert "region" in rejected(data)
+
+
+INVENTED = [
+    {"name": "robustness", "holds": True, "statement": "any u works", "data": {}},
+    {"name": "global", "holds": False, "statement": "z̄ attracts everything", "data": {}},
+    {"name": "robustness", "holds": False, "statement": "no global claim: but", "data": {}},
+]
+
+
+@pytest.mark.parametrize("extra", INVENTED, ids=["held", "not held", "unknown"])
+def test_an_invented_claim_is_rejected(folder, rejected, extra):
+    data = content(folder)
+    data["claims"] = [c for c in data["claims"] if c["name"] != extra["name"]] + [extra]
+    data["is_global"] = False if extra["name"] == "global" else data["is_global"]
+    assert "contents" in rejected(data)
+
+
+def test_a_claim_that_is_made_twice_is_rejected(folder, rejected):
+    data = content(folder)
+    for name in ("decrease", "region"):
+        altered = copy.deepcopy(data)
+        altered["claims"].insert(0, claim(altered, name) | {"statement": "all is well"})
+        assert "contents" in rejected(altered)
+
+
+@pytest.mark.parametrize("path", [(), ("region",), ("claims", 0), ("claims", 0, "data"),
+                                  ("claims", 3, "data"), ("claims", 7, "data")])  # fmt: skip
+def test_a_field_that_nobody_checks_is_rejected(folder, rejected, path):
+    data = content(folder)
+    at = data
+    for key in path:
+        at = at[key]
+    at["volume_share"] = 0.9
+    assert rejected(data)
+
+
+def at_odds(data):
+    """Fields that no longer agree with the claims, or with each other."""
+    yield data | {"format": 3}
+    yield data | {"is_global": not data["is_global"]}
+    yield data | {"stability": "stable" if data["stability"] == "asymptotic" else "asymptotic"}
+    yield data | {"domain_share": data["domain_share"] / 2}
+    yield data | {"claims": [c for c in data["claims"] if c["name"] != "region"]}
+    yield data | {"level_u": data["level"] if data["level_u"] is None else None}
+
+
+def test_fields_at_odds_with_the_claims_are_rejected(folder, tmp_path):
+    for altered in at_odds(content(folder)):
+        (tmp_path / "certificate.json").write_text(json.dumps(altered), encoding="utf-8")
+        (tmp_path / "design.json").write_bytes((folder / "design.json").read_bytes())
+        assert run(_certify, [str(tmp_path)]) != 0
+
+
+def other_limits(region):
+    """Limits of other kinds, and cells elsewhere."""
+    yield {"kind": "method", "at": [0]}
+    yield {"kind": "momentum", "at": region["active"][-1:]}
+    yield {"kind": "else", "at": [0 for _ in region["shape"]]}
+    yield {"kind": "border", "at": [0 for _ in region["shape"]]}
+    middle = [k // 2 for k in region["shape"]]
+    yield {"kind": "border", "at": middle}
+    yield {"kind": "critical", "at": middle}
+    yield {"kind": "critical", "at": [k // 3 for k in region["shape"]]}
+
+
+@pytest.mark.slow
+def test_another_limit_is_rejected_even_where_the_words_fit_it(folder, rejected):
+    data = content(folder)
+    region, active = data["region"], data["region"]["active"]
+    states = json.loads((folder / "design.json").read_text(encoding="utf-8"))["model"]
+    names = states["states"] + states["controller_states"]
+    follows = claim(data, "region")["statement"].rpartition(")")[2]
+    for other in other_limits(region):
+        altered = copy.deepcopy(data)
+        read = statements.Limit.read(other)
+        place = read.place(region["first"], region["step"]) if len(read.at) > 1 else ()
+        reason = statements.limited_by(read, "grid", names, active, place)
+        altered["limited_by"] = reason
+        claim(altered, "region")["data"]["limit"] = other
+        claim(altered, "region")["statement"] = statements.region(
+            data["level"], data["domain_share"], reason, follows
+        )
+        assert "region" in rejected(altered), other
+
+
+@given(value=st.floats(-1e9, 1e9, allow_subnormal=False), digits=st.integers(1, 6))
+def test_numbers_are_shown_on_the_safe_side(value, digits):
+    low, high = (float(f(value, digits)) for f in (statements._down, statements._up))
+    assert low <= value <= high
+    assert high - low <= 2 * 10.0 ** (1 - digits) * abs(value)
+
+
+def test_an_object_knows_what_was_asked_for():
+    fields = Fields({"a": 1, "b": {"c": 2, "d": 3}, "e": {"f": 4}})
+    assert fields["a"] == 1
+    assert fields["b"]["c"] == 2
+    assert sorted(fields.unread()) == ["b.d", "e"]
+    with pytest.raises(ValueError, match="twice"):
+        read_fields('{"a": 1, "a": 2}')

@@ -1,0 +1,1 @@
+"""What tests share: problems, designs, model files, commands, and second routes."""

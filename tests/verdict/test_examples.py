@@ -1,0 +1,61 @@
+import pytest
+import sympy as sp
+from helpers.symbolic_plants import EXAMPLES, best_hessian_eigenvalue, load
+
+from necc_casadi.casimirs.find import find_casimirs
+from necc_casadi.verdict.judge import judge
+
+VERDICTS = {
+    "damped_pendulum": ("ok", "asymptotic", 1),
+    "two_link_arm": ("ok", "asymptotic", 2),
+    "cart_pole": ("ok", "asymptotic", 1),
+    "series_rlc": ("ok", "asymptotic", 1),
+    "parallel_rlc": ("invisible_gradient", None, 0),
+    "mass_spring_chain": ("ok", "asymptotic", 1),
+    "symmetric_chain": ("ok", "stable", 1),
+    "maglev": ("ok", "asymptotic", 1),
+    "tora": ("ok", "asymptotic", 1),
+    "dc_motor": ("ok", "asymptotic", 1),
+    "satellite": ("ok", "asymptotic", 3),
+}
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=pytest.mark.slow if n == "satellite" else ()) for n in VERDICTS]
+)
+def test_example_shows_what_it_says(name):
+    reason, stability, count = VERDICTS[name]
+    plant, loop, target = load(name)
+    casimirs = find_casimirs(loop, (), target)
+    verdict = judge(loop, casimirs, target)
+    assert (verdict.reason, verdict.stability, len(casimirs.functions)) == (
+        reason,
+        stability,
+        count,
+    )
+    assert set(target) == set(plant.x)
+    if verdict.xi_star is None:
+        assert (best_hessian_eigenvalue(loop, casimirs, target) > 0) == (reason == "ok")
+
+
+def test_satellite_without_the_copied_kinematics_is_refused():
+    _, loop, target = load("satellite", integrators=True)
+    verdict = judge(loop, find_casimirs(loop, (), target), target)
+    assert (verdict.assignable, verdict.reason) == (False, "invisible_flat_curvature")
+
+
+def test_levitation_casimir_is_the_one_of_its_docstring():
+    _, loop, _ = load("maglev")
+    (c,) = find_casimirs(loop).functions
+    q, _p, xi1 = loop.z
+    expected = xi1 - sp.Rational(1, 20) / (sp.Rational(1, 2) + q)
+    ratio = sp.simplify(sp.diff(c, q) / sp.diff(expected, q))
+    assert sp.simplify(sp.diff(c, xi1) - ratio) == 0
+
+
+def test_every_example_has_a_source_and_a_title():
+    for path in EXAMPLES.glob("*.py"):
+        text = path.read_text(encoding="utf-8")
+        assert "Source:" in text
+        assert "Try: necc-design" in text
+        assert "name = " in text
