@@ -12,7 +12,7 @@ from necc_casadi.certificate.prover.arithmetic.intervals import Interval, matmul
 from necc_casadi.certificate.prover.arithmetic.jets import Jet, coordinates, sin_slopes, tanh_slopes
 from necc_casadi.lyapunov.networks import MonotonePhi, Network
 
-__all__ = ["network_jet", "phi_jet"]
+__all__ = ["network_jet", "network_taylor", "phi_jet"]
 
 
 #: Enclosures of (f, f′, f″) at an interval, and of f‴ where the order asked for is 3.
@@ -46,6 +46,10 @@ def _squareplus(v: Interval, order: int) -> tuple[Interval, ...]:
 
 
 _ACTIVATIONS: dict[str, Slopes] = {"tanh": _tanh, "sin": _sin, "squareplus": _squareplus}
+
+
+#: An upper bound of |tanh⁗| over the real line (4.08589…).
+_MOST_FOURTH = 4.086
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,6 +113,43 @@ def network_jet(network: Network, weights: Vector, X: Interval) -> Jet:
     """A network over boxes of its own inputs (B, d), centred layer by layer."""
     layers = [(point(W), point(b)) for W, b in network.layers(weights)]
     result = _layers(layers, _ACTIVATIONS[network.activation], X)
+    if network.quadratic:
+        result = result + _quadratic(*network.quadratic_part(weights), X)
+    return result
+
+
+def network_taylor(network: Network, weights: Vector, X: Interval) -> Jet:
+    """A network with one hidden layer of tanh over small boxes (B, d), by Taylor's formula.
+
+    f″ = f″(m) + f‴(m)δ ± ½M₄|δ|², M₄ = max |tanh⁗| Σ|vₕ||wₕ|⁴ for all arguments: no pieces, and an
+    error of the second order in the width of the box.
+    """
+    (W, b), (v, c) = network.layers(weights)
+    d, middle = W.shape[1], X.mid
+    rows, out = point(W), point(v[0])
+    square = rows[:, :, None] * rows[:, None, :]
+    cube = square[:, :, :, None] * rows[:, None, None, :]
+    t = (matmul(rows, point(middle)[..., None])[..., 0] + b).tanh()
+    first = 1.0 - t.square()
+    second, third = -2.0 * t * first, first * (6.0 * t.square() - 2.0)
+
+    def summed(f: Interval, T: Interval) -> Interval:
+        """Σₕ vₕ fₕ Tₕ, (B, …)."""
+        flat = matmul(out * f, T.reshape(T.shape[0], -1))
+        return flat.reshape(X.shape[0], *T.shape[1:])
+
+    delta = X - middle
+    pairs = (point(np.abs(W))[:, :, None] * np.abs(W)[:, None]).reshape(len(W), d * d)
+    weighted = pairs * (point(np.abs(v[0])) * _MOST_FOURTH)[:, None]
+    fourth = matmul(Interval(pairs.lo.T, pairs.hi.T), weighted)  # M₄ by pairs of indices
+    reach = point(delta.magnitude)
+    steps = (reach[:, :, None] * reach[:, None]).reshape(-1, d * d)
+    rest = (matmul(steps, fourth) * 0.5).hi.reshape(-1, d, d)
+    hess = summed(second, square) + (summed(third, cube) * delta[:, None, None]).sum()
+    hess = hess + Interval(-rest, rest)
+    grad = summed(first, rows) + (hess * delta[:, None]).sum()
+    value = matmul(out[None], t[..., None])[:, 0, 0] + float(c[0]) + (grad * delta).sum()
+    result = Jet(value, grad, hess)
     if network.quadratic:
         result = result + _quadratic(*network.quadratic_part(weights), X)
     return result

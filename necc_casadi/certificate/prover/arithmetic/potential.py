@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property, reduce
 from itertools import product
@@ -19,7 +20,7 @@ from necc_casadi.certificate.prover.arithmetic.jets import (
     coordinates,
     expression_jets,
 )
-from necc_casadi.certificate.prover.arithmetic.networks import network_jet, phi_jet
+from necc_casadi.certificate.prover.arithmetic.networks import network_jet, network_taylor, phi_jet
 from necc_casadi.designs.design import Design
 from necc_casadi.lyapunov.networks import Network
 
@@ -32,6 +33,10 @@ _ROWS = 512
 
 #: Network evaluations that one call may spend on cutting boxes, and pieces per axis at most.
 _BUDGET, _PIECES = 2048, 8
+
+
+#: Encloses a network over boxes of its inputs.
+OverBoxes = Callable[[Network, Vector, Interval], Jet]
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,6 +64,11 @@ class Potential:
             both = self._jet(concatenate(Z, point(middle)))
             return both[: Z.shape[0]].centred(both[Z.shape[0] :], Z - middle)
 
+    def sharp_jet(self, Z: Interval) -> Jet:
+        """V, ∇V and ∇²V over small boxes (B, active): networks by Taylor's formula, uncut."""
+        with np.errstate(all="ignore"):
+            return self._jet(Z, taylor=True)
+
     def lower_hessian(self, Z: Interval) -> Interval:
         """Matrices L with ∇²V ⪰ L' for an L' in L, tighter than ∇²V itself, (B, active, active).
 
@@ -68,7 +78,7 @@ class Potential:
         if self.design.form.phi is not None:
             return self.jet(Z).hess
         with np.errstate(all="ignore"):
-            energy, casimir = self._parts(Z, below=True)
+            energy, casimir = self._parts(Z, _below_pieces)
             return (energy + casimir).hess
 
     def slope(self, Z: Interval) -> Interval:
@@ -85,21 +95,22 @@ class Potential:
     def _weights(self) -> list[Vector]:
         return self.design.form.split(self.design.weights)
 
-    def _jet(self, Z: Interval) -> Jet:
-        energy, casimir = self._parts(Z)
+    def _jet(self, Z: Interval, taylor: bool = False) -> Jet:
+        energy, casimir = self._parts(Z, taylor_jet if taylor else over_pieces)
         phi = self.design.form.phi
         if phi is None:
             return energy + casimir
         outer = phi_jet(phi, self._weights[-1], stack([energy.value, casimir.value]))
         return chain(outer, [energy, casimir])
 
-    def _parts(self, Z: Interval, below: bool = False) -> tuple[Jet, Jet]:
-        """(H + Hc, C) over boxes; `below`: with ∇²K and ∇²Hc from below."""
+    def _parts(self, Z: Interval, over: OverBoxes | None = None) -> tuple[Jet, Jet]:
+        """(H + Hc, C) over boxes; `over` encloses K and Hc."""
+        over = over or over_pieces
         loop, form, weights = self.design.loop, self.design.form, self._weights
         variables = coordinates(Z)
         H, *c = self._expressions(Z)
-        Hc = _compose(form.hc, weights[0], variables[-loop.controller.nc :], below)
-        return Hc + H, self._casimir([_as_jet(part, variables[0]) for part in c], below)
+        Hc = _compose(form.hc, weights[0], variables[-loop.controller.nc :], over)
+        return Hc + H, self._casimir([_as_jet(part, variables[0]) for part in c], over)
 
     def _expressions(self, Z: Interval) -> list[Jet | Interval]:
         """H and the closed-form Casimirs over boxes, by mean-value forms about their middles."""
@@ -113,26 +124,29 @@ class Potential:
             for part in both
         ]
 
-    def _casimir(self, c: list[Jet], below: bool) -> Jet:
+    def _casimir(self, c: list[Jet], over: OverBoxes) -> Jet:
         form, weights = self.design.form, self._weights
         if form.betas:
             parts = zip(form.betas, weights[2:], c, strict=False)
-            c = [reduce(lambda a, b: a + b, [_compose(beta, w, [s]) for beta, w, s in parts])]
-        return _compose(form.k, weights[1], c, below)
+            c = [
+                reduce(
+                    lambda a, b: a + b,
+                    [_compose(beta, w, [s], over_pieces) for beta, w, s in parts],
+                )
+            ]
+        return _compose(form.k, weights[1], c, over)
 
 
 def _as_jet(part: Jet | Interval, like: Jet) -> Jet:
     return part if isinstance(part, Jet) else like * 0.0 + part
 
 
-def _compose(network: Network, weights: Vector, inputs: list[Jet], below: bool = False) -> Jet:
+def _compose(network: Network, weights: Vector, inputs: list[Jet], over: OverBoxes) -> Jet:
     """f(inputs); equal argument boxes, of which a grid has many, are evaluated once."""
     X = stack([j.value for j in inputs])
     d = X.shape[1]
     unique, inverse = np.unique(np.concatenate([X.lo, X.hi], axis=1), axis=0, return_inverse=True)
-    outer = over_pieces(network, weights, Interval(unique[:, :d], unique[:, d:]))
-    if below:
-        outer = Jet(outer.value, outer.grad, _below(outer.hess))
+    outer = over(network, weights, Interval(unique[:, :d], unique[:, d:]))
     return chain(outer[inverse.ravel()], inputs)
 
 
@@ -150,6 +164,19 @@ def over_pieces(network: Network, weights: Vector, X: Interval) -> Jet:
         for rows in np.array_split(np.arange(pieces.shape[0]), -(-pieces.shape[0] // _ROWS))
     ]
     return Jet(*(hull(part, boxes) for part in vars(reduce(Jet.above, parts)).values()))
+
+
+def _below_pieces(network: Network, weights: Vector, X: Interval) -> Jet:
+    """The network over pieces, with a matrix below its Hessian in the place of that."""
+    jet = over_pieces(network, weights, X)
+    return Jet(jet.value, jet.grad, _below(jet.hess))
+
+
+def taylor_jet(network: Network, weights: Vector, X: Interval) -> Jet:
+    """A network over small boxes, by Taylor's formula where it has one layer of tanh."""
+    if len(network.hidden) == 1 and network.activation == "tanh":
+        return network_taylor(network, weights, X)
+    return over_pieces(network, weights, X)
 
 
 def _below(hess: Interval) -> Interval:

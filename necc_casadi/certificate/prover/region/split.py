@@ -1,0 +1,157 @@
+"""Which states are minimised out: the fewest are kept for which V is strongly convex in the rest.
+
+With Φ = H + Hc + C and Casimirs that are affine in e, V_ee = H_ee + N_eᵀ∇²K N_e + diag(0, ∇²Hc),
+and matrices below ∇²K and ∇²Hc for all arguments give a floor F ≻ 0 for every e. H_ee and N_e may
+depend on angles, over a whole period, and on s, over the box in question; never on e otherwise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import combinations
+
+import numpy as np
+import sympy as sp
+
+from necc_casadi.arrays import Vector
+from necc_casadi.certificate.prover.arithmetic.boxes import matrix_enclosure, subdivide
+from necc_casadi.certificate.prover.arithmetic.definite import positive_definite
+from necc_casadi.certificate.prover.arithmetic.hessian_floor import hessian_floor
+from necc_casadi.certificate.prover.arithmetic.intervals import Interval, matmul
+from necc_casadi.certificate.prover.arithmetic.potential import Potential
+from necc_casadi.certificate.prover.region.critical_box import is_periodic
+from necc_casadi.certificate.prover.region.reduced import Reduced
+
+__all__ = ["Splits"]
+
+#: Shares of the least of the matrices below V_ee that are tried for F, the largest first.
+_SHARES = (1 - 1e-9, 0.999, 0.98, 0.9, 0.7, 0.4, 0.1)
+#: Cells of the states on which V_ee depends, in all; half a period, a little more than π.
+_CELLS, _HALF_PERIOD = 4096, 3.15
+#: States that cells can cover at most.
+_MOST_KEPT = 3
+
+
+@dataclass(frozen=True, eq=False)
+class Splits:
+    """Ways to split the active states into s and e."""
+
+    potential: Potential
+
+    @cached_property
+    def symbols(self) -> list[sp.Symbol]:
+        """The active states."""
+        return [self.potential.design.loop.z[i] for i in self.potential.active]
+
+    @cached_property
+    def _hessian(self) -> sp.Matrix:
+        return sp.hessian(self.potential.energy, self.symbols)
+
+    @cached_property
+    def _slopes(self) -> sp.Matrix:
+        functions = self.potential.design.casimirs.functions
+        return sp.Matrix([[sp.diff(c, s) for s in self.symbols] for c in functions])
+
+    @cached_property
+    def _network_floors(self) -> tuple[Interval, Interval]:
+        """Matrices below ∇²K and ∇²Hc."""
+        form = self.potential.design.form
+        of_hc, of_k = form.split(self.potential.design.weights)[:2]
+        return hessian_floor(form.k, of_k), hessian_floor(form.hc, of_hc)
+
+    @cached_property
+    def _periodic(self) -> set[sp.Symbol]:
+        """States in which all of ∇²H and ∇c is periodic."""
+        entries = [e for e in {*self._hessian, *self._slopes} if e.free_symbols]
+        return {s for s in self.symbols if is_periodic([e for e in entries if e.has(s)], s)}
+
+    def candidates(self, around: Interval) -> Iterator[Reduced]:
+        """Splits with V_ee ≻ 0 for s in the box `around` (d,), the fewest kept states first.
+
+        Among equals the widest margin comes first, in the units of the box.
+        """
+        d = len(self.symbols)
+        if self.potential.design.form.phi is not None or self.potential.design.form.betas:
+            return
+        for size in range(min(d, _MOST_KEPT) + 1):
+            found = []
+            for kept in combinations(range(d), size):
+                reduced = self.split(kept, around)
+                if reduced is not None:
+                    sizes = (around.hi - around.lo)[list(reduced.gone)]
+                    scaled = reduced.floor * np.outer(sizes, sizes)
+                    margin = np.linalg.eigvalsh(scaled).min(initial=np.inf)
+                    found.append((-float(margin), kept, reduced))
+            for _, _, reduced in sorted(found, key=lambda entry: entry[:2]):
+                yield reduced
+
+    def split(self, kept: Sequence[int], around: Interval) -> Reduced | None:
+        """The split that keeps s; None where V_ee ⪰ F ≻ 0 is not proved."""
+        gone = tuple(i for i in range(len(self.symbols)) if i not in kept)
+        floor = self._floor(gone, tuple(kept), around)
+        if floor is None:
+            return None
+        return Reduced(self.potential, tuple(kept), gone, floor)
+
+    def _floor(
+        self, gone: tuple[int, ...], kept: tuple[int, ...], around: Interval
+    ) -> Vector | None:
+        if not gone:
+            return np.zeros((0, 0))
+        below = self.below(gone, kept, around)
+        if below is None:
+            return None
+        middle = (below.mid + np.swapaxes(below.mid, -1, -2)) / 2
+        least = middle[int(np.argmin(np.linalg.eigvalsh(middle)[:, 0]))]
+        values = np.linalg.eigvalsh(least)
+        if not values[0] > 0:
+            return None
+        # that matrix itself where V_ee is constant or nearly so, else a multiple of the identity
+        for guess in (least, values[0] * np.eye(len(gone))):
+            for share in _SHARES:
+                if positive_definite(below - share * guess).all():
+                    return np.asarray(share * guess)
+        return None
+
+    def below(
+        self, gone: tuple[int, ...], kept: tuple[int, ...], around: Interval
+    ) -> Interval | None:
+        """Matrices (B, de, de) below V_ee for every e and every s of the box, cell by cell."""
+        e = [self.symbols[i] for i in gone]
+        N, H = self._slopes[:, list(gone)], self._hessian.extract(list(gone), list(gone))
+        if N.has(*e):
+            return None
+        used = sorted(H.free_symbols | N.free_symbols, key=str)
+        cells = self._cells(used, kept, around)
+        if cells is None:
+            return None
+        slopes = matrix_enclosure(N, used, cells)
+        K, Hc = self._network_floors
+        turned = Interval(np.swapaxes(slopes.lo, -1, -2), np.swapaxes(slopes.hi, -1, -2))
+        total = matrix_enclosure(H, used, cells) + matmul(turned, matmul(K, slopes))
+        rows = [k for k, i in enumerate(gone) if i >= len(self.symbols) - Hc.shape[0]]
+        of_xi = [gone[k] - len(self.symbols) + Hc.shape[0] for k in rows]
+        lo, hi = (np.zeros((len(gone), len(gone))) for _ in range(2))
+        lo[np.ix_(rows, rows)] = Hc.lo[np.ix_(of_xi, of_xi)]
+        hi[np.ix_(rows, rows)] = Hc.hi[np.ix_(of_xi, of_xi)]
+        return total + Interval(lo, hi)
+
+    def _cells(
+        self, used: Sequence[sp.Symbol], kept: tuple[int, ...], around: Interval
+    ) -> Interval | None:
+        """Cells of the states on which V_ee depends; None where one may be anything."""
+        lo, hi = [], []
+        for symbol in used:
+            i = self.symbols.index(symbol)
+            if symbol in self._periodic:
+                ends = (-_HALF_PERIOD, _HALF_PERIOD)
+            elif i in kept:
+                ends = (float(around.lo[i]), float(around.hi[i]))
+            else:
+                return None
+            lo.append(ends[0])
+            hi.append(ends[1])
+        parts = max(4, int(_CELLS ** (1 / max(1, len(used)))))
+        return subdivide(Interval(np.array(lo), np.array(hi)), parts)
