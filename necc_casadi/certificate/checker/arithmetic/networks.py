@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from functools import reduce
+from functools import cached_property, reduce
 from itertools import accumulate, combinations_with_replacement, pairwise, product
 from operator import mul
 from typing import Any
@@ -129,6 +129,49 @@ class Net:
             else:
                 self._known[box] = reduce(_union, map(self.enclose, pieces))
         return self._known[box]
+
+    def curvature(self, box: Box) -> dict[tuple[int, int], arb]:
+        """∇²f over pairs i ≤ j over a small box.
+
+        With one layer of tanh by Taylor's formula about the middle, the fourth derivative bounded
+        for all arguments; else as for a call.
+        """
+        if len(self.layers) != 2 or self.activation is not _tanh or self.linear is not None:
+            return self(box)[2]
+        middle = [arb(m) for (m, _) in _middle(box)]
+        steps = [ball(lo, hi) - m for (lo, hi), m in zip(box, middle, strict=True)]
+        reach = [s.abs_upper() for s in steps]
+        row = self._next(*self.layers[1], self._first(middle, 3))[0]
+        hess, third = row[self._at[2] : self._at[3]], row[self._at[3] :]
+        place = {key: n for n, key in enumerate(self._keys[3])}
+        result = {}
+        for (i, j), h in zip(self._pairs, hess, strict=True):
+            total = h
+            for k, step in enumerate(steps):
+                a, b, c = sorted((i, j, k))
+                total = total + third[place[a, b, c]] * step
+            rest = sum((m * reach[k] * reach[n] for (k, n), m in self._fourth[i, j]), arb(0))
+            result[i, j] = total + ball(-1.0, 1.0) * rest / 2
+        for i, kappa in enumerate(self.quadratic[0] if self.quadratic else ()):
+            result[i, i] = result[i, i] + kappa
+        return result
+
+    @cached_property
+    def _fourth(self) -> dict[tuple[int, int], list[tuple[tuple[int, int], arb]]]:
+        """Bounds of |∂⁴f| for all arguments: for each pair (i, j) those over all (k, n)."""
+        rows = [[abs(v) for v in row] for row in self.layers[0][0].tolist()]
+        out = [abs(v) * arb("4.086") for v in self.layers[1][0].tolist()[0]]
+        size = range(self.d)
+
+        def bound(i: int, j: int, k: int, n: int) -> arb:
+            return sum(
+                (v * w[i] * w[j] * w[k] * w[n] for v, w in zip(out, rows, strict=True)), arb(0)
+            )
+
+        return {
+            (i, j): [((k, n), bound(i, j, k, n)) for k in size for n in size]
+            for i, j in self._pairs
+        }
 
     def _pieces(self, box: Box) -> list[Box]:
         """The box, cut where a neuron's argument varies much."""

@@ -77,6 +77,10 @@ class Energy:
         """Whether V ≤ level over a box; far below the level no sharp bound is needed."""
         return bool(self._first(box)[0] <= level) or bool(self.value(box) <= level)
 
+    def value_and_gradient(self, box: Box) -> tuple[arb, list[arb]]:
+        """V and ∇V over a box, without mean-value forms: for points."""
+        return self._first(box)
+
     def gradient(self, box: Box) -> list[arb]:
         """∇V over a box."""
         return self._first(box)[1]
@@ -190,6 +194,27 @@ class Energy:
         for (a, b), w in weights.items():
             self._add_outer(part, w, inner[a][1], inner[b][1], a != b)
         return arb_mat(total) if self.phi is None else self._through_phi(box, total, part)
+
+    def hull(self, box: Box) -> list[list[arb]]:
+        """∇²V over a small box, entry by entry; for Φ = H + Hc + C with C = K(c)."""
+        first = self.d - self.model.nc
+        total = [[h(box) for h in row] for row in self._tables[0][2]]
+        self._add(total, self.hc.curvature(box[first:]), first)
+        values, grads = self.casimirs(box)
+        inner = tuple(ends(c) for c in values)
+        middle = self.k(tuple((m, m) for m in (lo / 2 + hi / 2 for lo, hi in inner)))[1]
+        curved = self.k.curvature(inner)
+        steps = [ball(lo, hi) - arb(lo / 2 + hi / 2) for lo, hi in inner]
+        for a, (_, _, ddc) in enumerate(self._tables[1:]):
+            slope = middle[a]
+            for b, step in enumerate(steps):
+                slope = slope + curved[min(a, b), max(a, b)] * step
+            for i in range(self.d):
+                for j in range(self.d):
+                    total[i][j] = total[i][j] + slope * ddc[i][j](box)
+        for (a, b), w in curved.items():
+            self._add_outer(total, w, grads[a], grads[b], a != b)
+        return total
 
     @staticmethod
     def _add(total: list[list[arb]], block: Mapping[tuple[int, int], arb], first: int) -> None:
