@@ -76,10 +76,8 @@ class PartialRegion:
             return False
         for depth in range(deepest + 1):
             count = self.parts * 2**depth
-            if (
-                depth,
-                tuple(min(int(share * count), count - 1) for share in shares),
-            ) in self._marked:
+            index = tuple(min(int(share * count), count - 1) for share in shares)
+            if (depth, index) in self._marked:
                 return True
         return False
 

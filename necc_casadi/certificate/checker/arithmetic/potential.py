@@ -39,12 +39,15 @@ class _Term:
 class Energy:
     """V in some of the states over boxes, the other states being 0."""
 
-    def __init__(self, model: StoredDesign, active: Sequence[int]) -> None:
+    def __init__(
+        self, model: StoredDesign, active: Sequence[int], added: sp.Expr | None = None
+    ) -> None:
         self.model, self.active, self.d = model, tuple(active), len(active)
         self.variables = [model.z[i] for i in active]
         at_rest = {s: 0 for i, s in enumerate(model.z) if i not in active}
+        energy = model.H if added is None else model.H + added
         self._tables = [
-            self._derivatives(sp.sympify(f).subs(at_rest)) for f in (model.H, *model.casimirs)
+            self._derivatives(sp.sympify(f).subs(at_rest)) for f in (energy, *model.casimirs)
         ]
         self._nets()
 

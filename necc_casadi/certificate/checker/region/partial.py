@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from functools import cached_property, partial
+from functools import cached_property
 
 import sympy as sp
 from flint import arb, arb_mat
@@ -17,12 +17,11 @@ from necc_casadi.certificate.checker.arithmetic.balls import Box, ball, by_bisec
 from necc_casadi.certificate.checker.arithmetic.definite import positive
 from necc_casadi.certificate.checker.arithmetic.hessian_floor import hessian_floor
 from necc_casadi.certificate.checker.arithmetic.potential import Energy
-from necc_casadi.certificate.checker.model import StoredDesign
 from necc_casadi.certificate.checker.region.reduced import Cover, Reduced
 from necc_casadi.certificate.claims.partial import Leaf, PartialRegion
 from necc_casadi.symbolic.zero import is_zero
 
-__all__ = ["FloorProof", "LeafProof", "inertia_is_positive", "is_periodic"]
+__all__ = ["BoundProof", "FloorProof", "LeafProof", "is_periodic", "stays_positive"]
 
 #: Half a period, a little more than π.
 _HALF_PERIOD = 3.15
@@ -130,9 +129,7 @@ class LeafProof:
                 and all(0 <= k < region.parts * 2**depth for k in index)
                 for depth, index in self.leaves
             )
-            and not any(
-                self._covered(parent) for leaf in self.leaves for parent in self._parents(leaf)
-            )
+            and not self._above_leaves & self.leaves
         )
 
     def _parents(self, leaf: Leaf) -> Iterator[Leaf]:
@@ -260,30 +257,71 @@ def _touch(a: Box, b: Box) -> bool:
     return all(lo <= high and low <= hi for (lo, hi), (low, high) in zip(a, b, strict=True))
 
 
-def inertia_is_positive(
-    model: StoredDesign,
-    resting: Sequence[int],
-    active: Sequence[int],
-    fibres: Sequence[tuple[arb, Box]],
-    reach: dict[int, arb],
-) -> bool:
-    """A(y) ≻ 0 on the fibres, and pᵢ stays within its reach: A − 2(c − w)/rᵢ² eᵢeᵢᵀ ≻ 0."""
-    if not resting:
-        return True
-    A = sp.hessian(model.H, [model.z[i] for i in resting])
-    variables = [model.z[i] for i in active]
+def stays_positive(A: sp.Matrix, variables: Sequence[sp.Symbol], boxes: Sequence[Box]) -> bool:
+    """Whether a matrix is ≻ 0 on boxes of its variables."""
     counts = [A.has(v) for v in variables]
 
-    def stiff(box: Box, room: arb) -> bool:
-        matrix = _evaluated(A, {v: ball(*side) for v, side in zip(variables, box, strict=True)})
-        if not positive(matrix, 0):
-            return False
-        for k, i in enumerate(resting):
-            if i in reach:
-                shifted = arb_mat(matrix)
-                shifted[k, k] = shifted[k, k] - 2 * room / (reach[i] * reach[i])
-                if not positive(shifted, 0):
-                    return False
-        return True
+    def test(box: Box) -> bool:
+        values = {v: ball(*side) for v, side in zip(variables, box, strict=True)}
+        return positive(_evaluated(A, values), 0)
 
-    return all(by_bisection(box, partial(stiff, room=room), _DEPTH, counts) for room, box in fibres)
+    return all(by_bisection(box, test, _DEPTH, counts) for box in boxes)
+
+
+class BoundProof:
+    """The user's bounds of states that s does not hold: V > c where one of them is met."""
+
+    def __init__(self, leaves: LeafProof, inertia: sp.Matrix, resting: Sequence[int]) -> None:
+        self.leaves, self.A, self.resting = leaves, inertia, list(resting)
+        self.reduced, self.energy = leaves.reduced, leaves.reduced.energy
+
+    def momentum_stays(self, i: int, reach: arb) -> bool:
+        """Whether |pᵢ| = reach is met nowhere in {V ≤ c} over the marked cells."""
+        k = self.resting.index(i)
+        kept = {self.energy.variables[j] for j in self.reduced.s}
+        if self.A.free_symbols <= kept:
+            return self._jointly(k, reach)
+        return all(self._within(k, reach, room, box) for room, box in self.leaves.fibres())
+
+    def _jointly(self, k: int, reach: arb) -> bool:
+        """W + ½ reach² det A/det A₍ₖ₎ > c, the sum as one energy."""
+        minor = self.A.copy()
+        minor.row_del(k)
+        minor.col_del(k)
+        stiff = sp.cancel(sp.together(self.A.det() / minor.det()))
+        half = sp.Rational(*float(reach.lower()).as_integer_ratio()) ** 2 / 2
+        raised = Energy(self.energy.model, self.energy.active, half * stiff)
+        return self._above(self.reduced.over(raised), lambda cell: cell)
+
+    def _within(self, k: int, reach: arb, room: arb, box: Box) -> bool:
+        """A − 2(c − w)/reach² eₖeₖᵀ ≻ 0 on a fibre."""
+        shift, variables = 2 * room / (reach * reach), self.energy.variables
+        counts = [self.A.has(v) for v in variables]
+
+        def test(piece: Box) -> bool:
+            values = {v: ball(*side) for v, side in zip(variables, piece, strict=True)}
+            matrix = _evaluated(self.A, values)
+            matrix[k, k] = matrix[k, k] - shift
+            return positive(matrix, 0)
+
+        return by_bisection(box, test, _DEPTH, counts)
+
+    def state_stays(self, position: int, end: float) -> bool:
+        """Whether eᵢ = end is met nowhere in {V ≤ c}: min {V(s, e): eᵢ = end} > c."""
+        held = self.reduced.holding(position)
+        at = held.s.index(position)
+        return self._above(held, lambda cell: (*cell[:at], (end, end), *cell[at:]))
+
+    def _above(self, other: Reduced, placed: Callable[[Box], Box]) -> bool:
+        """Whether another w, at a place that belongs to each cell, is above c where w is not."""
+        level = self.leaves.level
+
+        def test(cell: Box) -> bool:
+            cover = other.cover(placed(cell))
+            if cover is not None and bool(cover.low > level):
+                return True
+            own = self.reduced.cover(cell)
+            return own is not None and bool(own.low > level)
+
+        cells = map(self.leaves.region.box, sorted(self.leaves.leaves))
+        return all(by_bisection(cell, test, _DEPTH) for cell in cells)

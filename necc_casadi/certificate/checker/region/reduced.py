@@ -59,7 +59,7 @@ class Reduced:
         floor: Sequence[Sequence[float]],
         start: Sequence[float],  # of Newton's method, in the states of `energy`
     ) -> None:
-        self.energy = energy
+        self.energy, self._floor, self._start = energy, floor, start
         self.s = list(kept)
         self.e = [i for i in range(energy.d) if i not in self.s]
         self.factor = self._factor(np.array(floor, float).reshape(len(self.e), len(self.e)))
@@ -67,6 +67,16 @@ class Reduced:
         y = np.array(start, float)
         zero = np.zeros((len(self.e), len(self.s)))
         self._last: tuple[Numbers, Numbers, Numbers] = (y[self.s], y[self.e], zero)
+
+    def over(self, energy: Energy) -> Reduced:
+        """The same for another V with the same V_ee."""
+        return Reduced(energy, self.s, self._floor, self._start)
+
+    def holding(self, position: int) -> Reduced:
+        """The same with one state more that is not minimised out."""
+        rows = [k for k, i in enumerate(self.e) if i != position]
+        floor = [[self._floor[a][b] for b in rows] for a in rows]
+        return Reduced(self.energy, sorted([*self.s, position]), floor, self._start)
 
     def _factor(self, F: Numbers) -> arb_mat | None:
         """Lᵢ with LᵢFLᵢᵀ ⪰ (1 − 1e-9)I."""
@@ -134,9 +144,8 @@ class Reduced:
         turned_es = _product(_flipped(slopes, len(s)), B)
         G = _sum([[H[i][j] for j in s] for i in s], turned_es)
         G = _sum(G, _product([[H[i][j] for j in e] for i in s], slopes))
-        slope = [
-            grad[s[i]] + _dot([slopes[k][i] for k in de], [grad[e[k]] for k in de]) for i in ds
-        ]
+        along = [grad[i] for i in e]
+        slope = [grad[s[i]] + _dot([slopes[k][i] for k in de], along) for i in ds]
         gamma = [grad[e[k]] + _dot(B[k], steps) for k in de]
         scaled = [_dot([self._entry(k, m) for m in de], gamma) for k in de]
         square = sum((v.abs_upper() ** 2 for v in scaled), arb(0)) * (1 + _MADE_UP)

@@ -7,6 +7,7 @@ by solving that system in balls.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise, product
 
 import numpy as np
 import sympy as sp
@@ -32,7 +33,8 @@ def critical_box(energy: Energy) -> Box | None:
     """
     model, d = energy.model, energy.d
     y, form = energy.variables, model.form
-    if form["phi"] is not None or form["betas"] or not (energy.hc.quadratic and energy.k.quadratic):
+    of_k, of_hc = energy.k.quadratic, energy.hc.quadratic
+    if form["phi"] is not None or form["betas"] or of_k is None or of_hc is None:
         return None
     at_rest = {s: 0 for i, s in enumerate(model.z) if i not in energy.active}
     slopes = sp.Matrix([[sp.diff(c, v) for v in y] for c in model.casimirs])
@@ -50,7 +52,7 @@ def critical_box(energy: Energy) -> Box | None:
     if not positive(Q, 0):
         return None
     offset = _numbers(sp.Matrix([[c.subs(zero)] for c in model.casimirs]))
-    centres = [arb_mat([[v] for v in net.quadratic[1]]) for net in (energy.k, energy.hc)]
+    centres = [arb_mat([[v] for v in centre]) for _, centre in (of_k, of_hc)]
     linear = _numbers(sp.Matrix([[sp.diff(low, v).subs(zero)] for v in y]))
     linear = linear + N.transpose() * kappa_k * (offset - centres[0])
     linear = linear - E.transpose() * kappa_h * centres[1]
@@ -125,12 +127,8 @@ def _slopes_of_rest(rest: sp.Expr, y: Sequence[sp.Symbol]) -> list[arb] | None:
         used = sorted(slope.free_symbols, key=str)
         if not all(is_periodic(slope, s) for s in used):
             return None
-        cells = [()]
-        for _ in used:
-            ends_ = [_HALF_PERIOD * (k / 16 - 1) for k in range(33)]
-            cells = [(*c, side) for c in cells for side in zip(ends_, ends_[1:], strict=False)]
-        most = arb(0)
-        for cell in cells:
+        most, steps = arb(0), [_HALF_PERIOD * (k / 16 - 1) for k in range(33)]
+        for cell in product(pairwise(steps), repeat=len(used)):
             value = evaluate(slope, {s: ball(*side) for s, side in zip(used, cell, strict=True)})
             if not value.is_finite():
                 return None

@@ -45,6 +45,7 @@ class Potential:
 
     design: Design
     resting: tuple[int, ...] = ()  # plant states that are held at 0; no Casimir depends on them
+    added: sp.Expr = sp.S.Zero  # to H, a function of the active states
     active: tuple[int, ...] = field(init=False)  # the others, in the order of z
 
     def __post_init__(self) -> None:
@@ -53,9 +54,9 @@ class Potential:
 
     @cached_property
     def energy(self) -> sp.Expr:
-        """H with the resting states at 0."""
+        """H with the resting states at 0, and what is added to it."""
         loop = self.design.loop
-        return loop.plant.H.subs({loop.z[i]: 0 for i in self.resting})
+        return loop.plant.H.subs({loop.z[i]: 0 for i in self.resting}) + self.added
 
     def jet(self, Z: Interval) -> Jet:
         """V, ∇V and ∇²V in the active states over boxes (B, active), with S = (B,)."""

@@ -20,6 +20,7 @@ from necc_casadi.certificate.prover.arithmetic.boxes import matrix_enclosure
 from necc_casadi.certificate.prover.arithmetic.definite import positive_definite
 from necc_casadi.certificate.prover.arithmetic.intervals import Interval, point
 from necc_casadi.certificate.prover.arithmetic.jets import constant
+from necc_casadi.certificate.prover.arithmetic.potential import Potential
 from necc_casadi.certificate.prover.region.leaves import Leaves
 from necc_casadi.certificate.prover.region.obstacle import Obstacle, Search
 from necc_casadi.certificate.prover.region.reduced import Reduced
@@ -29,7 +30,7 @@ from necc_casadi.designs.design import Design
 __all__ = ["Bounds", "bounds_of"]
 
 #: How often a cell may be halved before a bound counts as not kept on it.
-_HALVINGS = 10
+_HALVINGS = 7
 
 
 def bounds_of(design: Design) -> Interval:
@@ -136,24 +137,42 @@ class Bounds:
         return self._momenta_inside(leaves, level) and self._gone_inside(leaves, level)
 
     def _momenta_inside(self, leaves: Leaves, level: float) -> bool:
-        """A − kᵢeᵢeᵢᵀ ≻ 0 with kᵢ = 2(c − w)/b² on every marked cell and the range of e there."""
-        if not self._momenta:
-            return True
+        """Whether every momentum with a bound stays within it over the marked cells."""
+        steady = self.inertia.free_symbols <= {self.splits.symbols[i] for i in self.reduced.kept}
+        inside = self._inside_jointly if steady else self._inside_by_cells
+        return all(inside(leaves, level, k, reach) for k, reach in self._momenta)
+
+    def _inside_jointly(self, leaves: Leaves, level: float, k: int, reach: float) -> bool:
+        """W + ½b²σ > c with σ = 1/(A⁻¹)ᵢᵢ a function of s alone: one enclosure of the sum."""
+        potential = self.reduced.potential
+        sigma = sp.simplify(1 / self.inertia.inv()[k, k])
+        half = sp.Rational(*reach.as_integer_ratio()) ** 2 / 2
+        held = Potential(potential.design, potential.resting, half * sigma)
+        raised = Reduced(held, self.reduced.kept, self.reduced.gone, self.reduced.floor)
         cells = leaves.boxes[np.flatnonzero(leaves.marked)]
         for _ in range(_HALVINGS):
-            cover = self.reduced.cover(cells)
-            room = (level - point(cover.w.lo)) * 2.0
+            cover, own = raised.cover(cells), self.reduced.cover(cells)
+            clear = (cover.ok & (cover.w.lo > level)) | (own.ok & (own.w.lo > level))
+            if clear.all():
+                return True
+            cells = halves(cells[np.flatnonzero(~clear)])
+        return False
+
+    def _inside_by_cells(self, leaves: Leaves, level: float, k: int, reach: float) -> bool:
+        """A − κeᵢeᵢᵀ ≻ 0 with κ = 2(c − w)/b² on every marked cell and the range of e there."""
+        rows = np.flatnonzero(leaves.marked)
+        cells, cover = leaves.boxes[rows], leaves.cover[rows]
+        for _ in range(_HALVINGS):
+            shift = ((level - point(cover.w.lo)) * 2.0 / point(reach).square()).hi
             boxes = self.reduced.fibres(cells, cover, level)
             A = matrix_enclosure(self.inertia, self.splits.symbols, boxes)
-            bad = ~cover.ok
-            for k, reach in self._momenta:
-                shift = (room / point(reach).square()).hi
-                unit = np.diag(np.eye(A.shape[-1])[k])
-                bad |= ~positive_definite(A - shift[:, None, None] * unit)
-            bad &= ~(cover.ok & (cover.w.lo > level))
-            if not bad.any():
+            unit = np.diag(np.eye(A.shape[-1])[k])
+            clear = cover.ok & positive_definite(A - shift[:, None, None] * unit)
+            clear |= cover.ok & (cover.w.lo > level)
+            if clear.all():
                 return True
-            cells = halves(cells[np.flatnonzero(bad)])
+            cells = halves(cells[np.flatnonzero(~clear)])
+            cover = self.reduced.cover(cells)
         return False
 
     def _gone_inside(self, leaves: Leaves, level: float) -> bool:

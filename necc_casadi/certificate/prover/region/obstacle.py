@@ -14,7 +14,7 @@ from typing import Literal
 
 import numpy as np
 
-from necc_casadi.arrays import Vector
+from necc_casadi.arrays import Truth, Vector
 from necc_casadi.certificate.prover.region.landscape import Landscape, Minima
 
 __all__ = ["Kind", "Obstacle", "Search", "search"]
@@ -57,7 +57,7 @@ class Search:
     @property
     def step(self) -> Vector:
         """Width of the grid's cells, (ds,)."""
-        return (self.hi - self.lo) / (np.array(self.shape) - 1)
+        return np.asarray((self.hi - self.lo) / (np.array(self.shape) - 1), float)
 
     def first(self, s_bar: Vector) -> Obstacle | None:
         """The lowest obstacle in the box; None where none is met."""
@@ -67,13 +67,12 @@ class Search:
     def _pass(self, s_bar: Vector) -> Obstacle | None:
         """The lowest critical point that is no strict minimum and is reached at its own level."""
         best: Obstacle | None = None
-        rise = float(
-            np.nanmax(self.minima.w[np.isfinite(self.minima.w)]) - np.nanmin(self.minima.w)
-        )
+        defined = self.minima.w[np.isfinite(self.minima.w)]
+        rise = float(defined.max() - defined.min())
         for s, e, w, index in self.points:
             near = (np.abs(self.nodes - s) <= 2.01 * self.step).all(1)
             reached = float(np.min(self.levels[near], initial=np.inf))
-            slack = 1e-9 * abs(rise) + 0.02 * max(0.0, w - float(np.nanmin(self.minima.w)))
+            slack = 1e-9 * abs(rise) + 0.02 * max(0.0, w - float(defined.min()))
             far = bool((np.abs(s - s_bar) > _SAME * self.step).any())
             if index > 0 and far and reached <= w + slack and (best is None or w < best.level):
                 best = Obstacle("critical_point", w, s, e)
@@ -91,7 +90,7 @@ class Search:
             return None
         return Obstacle("singularity", float(levels[at]), self.nodes[at], self.minima.e[at])
 
-    def open_sides(self, level: float) -> tuple[Vector, Vector]:
+    def open_sides(self, level: float) -> tuple[Truth, Truth]:
         """Whether the component below `level` touches the lower and the upper side, (ds,)."""
         inside = self.levels <= level
         tiny = 1e-9 * (self.hi - self.lo)
@@ -178,7 +177,7 @@ def _newton(minima: Minima) -> Vector:
     return steps
 
 
-def _dilated(mask: np.ndarray) -> np.ndarray:  # type: ignore[type-arg]
+def _dilated(mask: np.ndarray) -> np.ndarray:
     """Marked nodes and all that touch one."""
     padded = np.pad(mask, 1)
     result = np.zeros_like(mask)

@@ -24,8 +24,10 @@ from necc_casadi.certificate.prover.region.split import Splits
 
 __all__ = ["PartialProof", "prove_partial"]
 
-#: Shares of the obstacle's height that are tried, and ways to split that are tried.
-_SHARES = (0.995, 0.99, 0.98, 0.95, 0.9, 0.8, 0.5)
+#: Shares of the obstacle's height that are tried, the first by the number of kept states, and ways
+#: to split that are tried: cells that tell w from a pass grow in number with both.
+_FIRST_SHARE = {1: 0.995, 2: 0.99, 3: 0.98}
+_SHARES = (0.97, 0.95, 0.9, 0.8, 0.5)
 _SPLITS = 3
 #: Cells per axis at first, by the number of kept states.
 _FIRST = {1: 32, 2: 16, 3: 8}
@@ -88,7 +90,7 @@ def _proved(
     found, obstacle = _explored(bounds, start, s_bar.mid, bottom)
     if obstacle is None:
         return None if start is None else _unique(reduced, start, s_bar)
-    for share in _SHARES:
+    for share in (_FIRST_SHARE[len(kept)], *_SHARES):
         level = bottom + share * (obstacle.level - bottom)
         lo, hi = found.around(bottom + max(share, _INNER) * (obstacle.level - bottom))
         base = _base(bounds, lo, hi)
