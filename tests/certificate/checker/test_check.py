@@ -129,12 +129,12 @@ def drop_cells(data):
     data["region"]["cells"] = base64.b64encode(zlib.compress(bits.tobytes())).decode()
 
 
-def widen_core(data):
-    data["region"]["core"] = [[0, 0], [k - 1 for k in data["region"]["shape"]]]
+def widen_block(data):
+    data["region"]["convex_block"] = [[0, 0], [k - 1 for k in data["region"]["shape"]]]
 
 
-def shift_core(data):
-    data["region"]["core"] = [[1, 1], [2, 2]]
+def shift_block(data):
+    data["region"]["convex_block"] = [[1, 1], [2, 2]]
 
 
 def stretch_grid(data):
@@ -154,7 +154,7 @@ def forget_momentum(data):
 
 
 CHANGES = [
-    raise_level, move_z_bar, drop_cells, stretch_grid, move_grid, shift_core,
+    raise_level, move_z_bar, drop_cells, stretch_grid, move_grid, shift_block,
     change_hash, forget_momentum,
 ]  # fmt: skip
 
@@ -197,8 +197,8 @@ def test_a_global_claim_is_proved_again_or_rejected(pendulum, tmp_path):
 def test_a_lowered_level_may_still_be_true(pendulum, tmp_path):
     def lower(data):
         data["level"] = data["region"]["level"] = data["region"]["level"] - 1e-3
-        limit = claim(data, "region")["data"]["limit"]
-        claim(data, "region")["data"] = {"domain_share": 0.01, "limit": limit}
+        kept = {key: claim(data, "region")["data"][key] for key in ("limit", "follows")}
+        claim(data, "region")["data"] = {"domain_share": 0.01, **kept}
         data["domain_share"] = 0.01
 
     assert all(altered(pendulum, tmp_path, lower).values())
@@ -225,7 +225,7 @@ def moved_center(data):
     data["region"]["center"][1] += 0.5
 
 
-def raised_core_level(data):
+def raised_ellipsoid_level(data):
     data["level"] = data["region"]["level"] = data["region"]["level"] + 0.5
 
 
@@ -248,8 +248,8 @@ def flatter_factor(data):
     data["region"]["L"] = [[0.7 * v for v in row] for row in data["region"]["L"]]
 
 
-CORE_CHANGES = [
-    more_curvature, larger_ellipsoid, moved_center, raised_core_level, smaller_above,
+ELLIPSOID_CHANGES = [
+    more_curvature, larger_ellipsoid, moved_center, raised_ellipsoid_level, smaller_above,
     longer_reach, larger_share, flatter_factor,
 ]  # fmt: skip
 
@@ -258,7 +258,7 @@ def test_the_ellipsoid_is_proved_again(chain):
     assert all(verdicts(chain).values())
 
 
-@pytest.mark.parametrize("change", CORE_CHANGES, ids=lambda f: f.__name__)
+@pytest.mark.parametrize("change", ELLIPSOID_CHANGES, ids=lambda f: f.__name__)
 def test_each_altered_field_of_an_ellipsoid_is_rejected(chain, tmp_path, change):
     assert not all(altered(chain, tmp_path, change).values())
 

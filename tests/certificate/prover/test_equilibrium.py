@@ -157,7 +157,7 @@ def test_a_property_that_was_only_sampled_is_named():
     loop = ClosedLoop(odd, design.loop.controller)
     from necc_casadi.certificate.prover.decrease import prove_decrease
 
-    claims = {c.name: c for c in prove_decrease(dataclasses.replace(design, loop=loop))}
+    claims = {c.name: c for c in prove_decrease(dataclasses.replace(design, loop=loop)).claims}
     assert not claims["structure"].holds
     assert "R" in claims["structure"].statement
     assert not claims["decrease"].holds
@@ -255,6 +255,6 @@ def test_definiteness_is_never_claimed_of_an_indefinite_matrix(seed, gap):
 def test_certificate_file_round_trip_and_damage():
     certificate = local(quadratic_pendulum())
     assert Certificate.from_json(certificate.to_json()) == certificate
-    for text in ("", "{}", "[]", certificate.to_json().replace('"format": 2', '"format": 99')):
+    for text in ("", "{}", "[]", certificate.to_json().replace('"format": 3', '"format": 99')):
         with pytest.raises(OutputError):
             Certificate.from_json(text)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property, reduce
 from itertools import product
 
@@ -40,11 +40,11 @@ class Potential:
 
     design: Design
     resting: tuple[int, ...] = ()  # plant states that are held at 0; no Casimir depends on them
-    active: tuple[int, ...] = field(init=False)  # the others, in the order of z
 
-    def __post_init__(self) -> None:
-        states = range(self.design.loop.n)
-        object.__setattr__(self, "active", tuple(i for i in states if i not in self.resting))
+    @cached_property
+    def active(self) -> tuple[int, ...]:
+        """The states that do not rest, in the order of z."""
+        return tuple(i for i in range(self.design.loop.n) if i not in self.resting)
 
     @cached_property
     def energy(self) -> sp.Expr:

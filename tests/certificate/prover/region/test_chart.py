@@ -18,7 +18,7 @@ from necc_casadi.certificate.checker.arithmetic.balls import ball, evaluate, tim
 from necc_casadi.certificate.checker.arithmetic.networks import Net
 from necc_casadi.certificate.checker.arithmetic.tapes import Tape
 from necc_casadi.certificate.checker.check import check
-from necc_casadi.certificate.checker.region.shells import Shells
+from necc_casadi.certificate.checker.region.shells import NetworkCurvature, Shells
 from necc_casadi.certificate.claims import statements
 from necc_casadi.certificate.claims.certificate import Certificate
 from necc_casadi.certificate.claims.regions import ChartRegion
@@ -156,7 +156,7 @@ def test_what_the_proof_takes_for_granted_is_checked(folder, tmp_path, change):
     claim = next(c for c in data["claims"] if c["name"] == "region")
     change(data)
     claim["statement"] = statements.region(
-        data["level"], data["domain_share"], data["limited_by"], statements.CONVERGES
+        data["level"], data["domain_share"], data["limited_by"], "converges"
     )
     (tmp_path / "certificate.json").write_text(json.dumps(data), encoding="utf-8")
     (tmp_path / "design.json").write_bytes((folder / "design.json").read_bytes())
@@ -250,10 +250,12 @@ def test_growth_is_below_the_network_and_the_checker_agrees(seed):
     shape = {"inputs": 2, "hidden": [8], "activation": "tanh", "quadratic": True}
     net = Net.from_weights(shape, weights.tolist())[0]
     parts = [middle.tolist(), arb_mat(A.tolist()), found.radii.tolist(), found.nu.tolist()]
-    rise = Shells(net, *parts, found.above)
+    rise = Shells(NetworkCurvature(net), *parts, found.above)
     assert rise.holds()
     assert float(rise.at(arb(0.5)).mid()) == pytest.approx(found.rise(0.5), rel=1e-4)
-    assert not Shells(net, *parts[:3], [v + 0.3 for v in found.nu], found.above).holds()
+    assert not Shells(
+        NetworkCurvature(net), *parts[:3], [v + 0.3 for v in found.nu], found.above
+    ).holds()
 
 
 def test_linear_casimirs_and_quadratic_networks_reach_the_border_of_the_domain():
