@@ -15,6 +15,7 @@ from necc_casadi.symbolic.zero import is_zero
 __all__ = ["check_attraction", "check_only_stable"]
 
 
+#: What an equilibrium of the loop and V̇ ≤ 0 are needed for.
 _SOUND = "z̄ is an equilibrium of a loop along which V decreases"
 
 

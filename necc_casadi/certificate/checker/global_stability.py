@@ -1,4 +1,7 @@
-"""The global claim: ∇²V ⪰ μI and ∂²H/∂s² ⪰ μI for all states, by bounds of the networks."""
+"""The global claim: ∇²V ⪰ μI and ∂²H/∂s² ⪰ μI for all states, by bounds of the networks.
+
+LaSalle's principle then takes every solution to the one critical point.
+"""
 
 from __future__ import annotations
 

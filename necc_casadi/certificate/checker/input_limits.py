@@ -85,7 +85,10 @@ def check_input_limits(evidence: Evidence, proof: RegionProof | None, sound: boo
     """U stays within the model's limits wherever V ≤ c_u on the cells of the region."""
     level, limits = evidence.certificate.level_u, evidence.model.u_limits
     if level is None or limits is None or proof is None or not sound:
-        return Checked("input_limits", False, "no input limits are proved to be kept")
+        given = level is not None and limits is not None and proof is not None
+        missing = "a proved region" if given else "limits, a level or a region in the files"
+        text = f"no input limits are proved to be kept, for want of {missing}"
+        return Checked("input_limits", False, text)
     boxes, region = proof.boxes(), proof.region
     if boxes is None:
         return Checked("input_limits", False, "no input limits in the coordinates (c, ξ)")

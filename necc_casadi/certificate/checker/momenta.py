@@ -1,4 +1,7 @@
-"""Momenta, judged anew: states that enter H as ½ sᵀA(y)s and no Casimir, and how far they go."""
+"""Momenta, judged anew: states that enter H as ½ sᵀA(y)s and no Casimir, and how far they go.
+
+With Φ₁ ≥ δ, V(y, s) ≥ V(y, 0) + ½ δ sᵀA(y)s.
+"""
 
 from __future__ import annotations
 

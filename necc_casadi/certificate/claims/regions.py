@@ -244,4 +244,6 @@ def read_region(data: Mapping[str, Any]) -> RegionClaim:
     KeyError, ValueError
         When an entry is missing or has another type.
     """
+    if data["method"] not in _KINDS:
+        raise ValueError(f"no region of the method {data['method']!r:.20}")
     return read_as(_KINDS[data["method"]], data)

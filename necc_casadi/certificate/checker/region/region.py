@@ -60,8 +60,10 @@ def region_proof(evidence: Evidence) -> RegionProof | None:
 def check_region(evidence: Evidence, proof: RegionProof | None, sound: bool) -> Checked:
     """The component of {V ≤ c} around z̄ lies in the domain, and only z̄ is critical in it."""
     share, said = evidence.certificate.domain_share, evidence.certificate.limited_by
-    if proof is None or share is None or not sound or not evidence.claimed("region"):
-        return Checked("region", False, "no region is proved")
+    claimed = proof is not None and share is not None and evidence.claimed("region")
+    if proof is None or share is None or not (claimed and sound):
+        missing = "the stability of z̄" if claimed else "that one is claimed"
+        return Checked("region", False, f"no region is proved, for want of {missing}")
     region, data, states = proof.region, evidence.claims["region"].data, evidence.model.states
     limit, follows = read_as(LimitedBy, data["limit"]), data["follows"]
     sizes = {key: float(data[key]) for key in data if key not in _NO_SIZES}

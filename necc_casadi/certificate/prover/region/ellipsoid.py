@@ -40,8 +40,6 @@ _SHELLS = 16
 
 #: Cells per axis of the box around the ellipsoid, by dimension, about.
 _PARTS = {2: 64, 3: 24, 4: 14, 5: 8}
-
-
 _FEWEST_PARTS = 4
 
 

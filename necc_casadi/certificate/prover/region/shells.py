@@ -50,8 +50,6 @@ _ROOM = 0.02
 
 #: Cells per axis of the box around the ellipsoid, by dimension.
 _PARTS = {1: 128, 2: 32, 3: 14}
-
-
 _FEWEST_PARTS = 6
 
 
