@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from necc_casadi.casimirs.casimirs import Casimirs
 from necc_casadi.certificate.checker.check import check
 from necc_casadi.certificate.claims import statements
-from necc_casadi.certificate.claims.fields import Fields, read_as, read_fields
+from necc_casadi.certificate.claims.fields import read_as
 from necc_casadi.certificate.claims.regions import LimitedBy, read_region
 from necc_casadi.certificate.prover.certify import certify
 from necc_casadi.certificate.prover.region import grid_search as search
@@ -27,6 +27,7 @@ from necc_casadi.model.plant import make_plant
 
 #: Together longer than the quick suite can afford; CI runs them.
 pytestmark = pytest.mark.slow
+
 
 QUADRATIC = Form(Network(1, (), quadratic=True), Network(1, (), quadratic=True))
 
@@ -287,12 +288,3 @@ def test_numbers_are_shown_on_the_safe_side(value, digits):
     low, high = (float(f(value, digits)) for f in (statements._down, statements._up))
     assert low <= value <= high
     assert high - low <= 2 * 10.0 ** (1 - digits) * abs(value)
-
-
-def test_an_object_knows_what_was_asked_for():
-    fields = Fields({"a": 1, "b": {"c": 2, "d": 3}, "e": {"f": 4}})
-    assert fields["a"] == 1
-    assert fields["b"]["c"] == 2
-    assert sorted(fields.unread()) == ["b.d", "e"]
-    with pytest.raises(ValueError, match="twice"):
-        read_fields('{"a": 1, "a": 2}')

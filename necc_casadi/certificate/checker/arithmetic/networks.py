@@ -1,4 +1,7 @@
-"""Networks over boxes in Arb balls: derivatives packed over multi-indices, kept per box."""
+"""Networks over boxes in Arb balls: derivatives packed over multi-indices, kept per box.
+
+Activations by the formula of Faà di Bruno, sharpened by mean-value forms layer by layer.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""V, ∇V and ∇²V over boxes in Arb balls, from expressions that are differentiated symbolically.
+"""V = Φ(H + Hc, C) (eq. casimir_parameterization), ∇V and ∇²V over boxes in Arb balls.
+
+Closed forms are differentiated symbolically, networks by their own derivatives.
 
 Results are kept per box, since neighbouring cells ask for the same ones.
 """

@@ -1,4 +1,8 @@
-"""A region in an ellipsoid around z̄: V climbs along every ray, by its curvature on shells."""
+"""A region in an ellipsoid around z̄: V climbs along every ray, by its curvature on shells.
+
+The component of {V ≤ c} cannot leave the ellipsoid |e| ≤ ρ, on whose boundary V exceeds c; along
+its rays V rises, so z̄ is its only critical point there. See shells.py for the integral.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""A region on a grid: V > c around the marked cells, and no critical point but z̄ in them."""
+"""A region on a grid: V > c around the marked cells, and no critical point but z̄ in them.
+
+The component of {V ≤ c} around z̄ is connected, so it stays within cells on whose outer faces V > c.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Second-order jets over boxes: value, gradient and Hessian of smooth functions as intervals."""
+"""Second-order jets over boxes: value, gradient and Hessian of smooth functions as intervals.
+
+By the chain and product rules (forward mode), sharpened by mean-value forms.
+"""
 
 from __future__ import annotations
 

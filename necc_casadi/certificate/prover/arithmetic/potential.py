@@ -1,4 +1,4 @@
-"""Enclosures of V = Φ(H + Hc, C), ∇V and ∇²V over boxes: expressions, networks, composition."""
+"""Enclosures of V = Φ(H + Hc, C) (eq. casimir_parameterization), ∇V and ∇²V over boxes."""
 
 from __future__ import annotations
 

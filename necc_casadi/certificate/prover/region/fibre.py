@@ -1,4 +1,7 @@
-"""The fibre ξ = ξ̄: where α = A_K(c(q, ξ̄) − c̄) is small, it has no fold, and what it covers."""
+"""The fibre ξ = ξ̄: where α = A_K(c(q, ξ̄) − c̄) is small, it has no fold, and what it covers.
+
+Where ∂α/∂q is regular, α is one-to-one nearby (inverse function theorem).
+"""
 
 from __future__ import annotations
 
