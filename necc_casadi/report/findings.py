@@ -66,7 +66,7 @@ def region_claim(certificate: Certificate) -> Claim | None:
 
 def attracts(region: Claim) -> bool:
     """Whether a proved region is one of attraction; otherwise it is invariant, no more."""
-    return region.holds and "every solution" in region.statement
+    return region.holds and region.data.get("follows") == "converges"
 
 
 @dataclass(frozen=True)

@@ -26,7 +26,7 @@ def reword(data):
     attraction = claim(data, "attraction")
     attraction["statement"] = statements.attraction(attraction["data"]["rate"])
     region = claim(data, "region")
-    follows = region["statement"].rpartition(")")[2]
+    follows = region["data"]["follows"]
     size = (data["level"], data["domain_share"], data["limited_by"])
     region["statement"] = statements.region(*size, follows)
 

@@ -64,8 +64,8 @@ def test_what_the_certificate_knows_of_the_region_is_shown(found):
 
 
 def test_an_invariant_region_is_not_called_one_of_attraction(found):
-    weaker = "the component Ω lies in the domain; Ω is invariant, and z̄ locally stable"
-    head = block(with_claim(found, statement=weaker))[0]
+    weaker = dict(region_claim(found.certificate).data) | {"follows": "invariant"}
+    head = block(with_claim(found, data=weaker))[0]
     assert "solutions stay in it" in head
     assert "converge" not in head
     assert attracts(region_claim(found.certificate))

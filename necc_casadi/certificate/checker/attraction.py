@@ -1,4 +1,4 @@
-"""Whether the damped loop goes to z̄, re-proved in balls."""
+"""Whether the damped loop goes to z̄, re-proved in balls: Lyapunov's indirect method."""
 
 from __future__ import annotations
 
@@ -8,46 +8,72 @@ from flint import arb, arb_mat
 from necc_casadi.certificate.checker.arithmetic.balls import Box, ball, evaluate
 from necc_casadi.certificate.checker.arithmetic.definite import lyapunov_matrix, middle_of, positive
 from necc_casadi.certificate.checker.arithmetic.potential import hessian_hull
-from necc_casadi.certificate.checker.evidence import Checked, Evidence
+from necc_casadi.certificate.checker.evidence import Checked, Evidence, Obligation
 from necc_casadi.certificate.claims import statements
 from necc_casadi.symbolic.zero import is_zero
 
 __all__ = ["check_attraction", "check_only_stable"]
 
 
+#: What an equilibrium of the loop and V̇ ≤ 0 are needed for.
+_SOUND = "z̄ is an equilibrium of a loop along which V decreases"
+
+
 def check_attraction(evidence: Evidence, sound: bool) -> Checked:
-    """The linearisation plus the claimed rate is Hurwitz, by a Lyapunov inequality."""
-    rate = float(evidence.claims["attraction"]["data"]["rate"])
-    text = statements.attraction(rate)
-    if not sound or not rate >= 0:
-        return Checked("attraction", False, text)
-    box = evidence.z_bar(range(len(evidence.model.z)))
-    A = _linearisation(evidence, box)
-    n = A.nrows()
-    for i in range(n):
-        A[i, i] = A[i, i] + rate
-    P = lyapunov_matrix(middle_of(A))
-    if P is None:
-        return Checked("attraction", False, text)
-    P_exact = arb_mat(P.tolist())
-    rate_matrix = -(P_exact * A + (P_exact * A).transpose())
-    return Checked("attraction", positive(P_exact, 0) and positive(rate_matrix, 0), text)
+    """The linearisation plus the claimed rate is Hurwitz: AᵀP + PA ≺ 0, P ≻ 0 (Lyapunov)."""
+    rate = float(evidence.claims["attraction"].data["rate"])
+
+    def hurwitz() -> bool:
+        A = _linearisation(evidence, evidence.z_bar(range(len(evidence.model.z))))
+        for i in range(A.nrows()):
+            A[i, i] = A[i, i] + rate
+        guess = lyapunov_matrix(middle_of(A))
+        if guess is None:
+            return False
+        P = arb_mat(guess.tolist())
+        PA = P * A
+        return positive(P, 0) and positive(-(PA + PA.transpose()), 0)
+
+    return Checked.by(
+        "attraction",
+        statements.attraction(rate),
+        [
+            (_SOUND, lambda: sound),
+            ("the rate is not negative", lambda: rate >= 0),
+            ("the Lyapunov inequality at z̄", hurwitz),
+        ],
+    )
 
 
 def check_only_stable(evidence: Evidence, sound: bool) -> Checked:
-    """z̄ is stable, and why no more is claimed: a Casimir that stays, or the verdict's witness."""
-    model, data = evidence.model, evidence.claims["stability"]["data"]
-    stable = sound and evidence.certificate["stability"] == "stable"
+    """z̄ is stable, and why no more is claimed: a Casimir that stays, or the verdict's witness.
+
+    𝒢ᵀ∇C = 0 keeps a Casimir C of the undamped loop constant along the damped one.
+    """
+    model, data = evidence.model, evidence.claims["stability"].data
+    stable: list[Obligation] = [
+        (_SOUND, lambda: sound),
+        ("no more than stability is claimed", lambda: evidence.certificate.stability == "stable"),
+    ]
     if "conserved" not in data:
         witness, kind = model.verdict["witness"], model.verdict["stability"]
-        text = statements.only_stable(str(witness))
-        return Checked("stability", stable and kind == "stable" and bool(witness), text)
+        said = (
+            "design.json has a verdict that says so",
+            lambda: kind == "stable" and bool(witness),
+        )
+        return Checked.by("stability", statements.only_stable(str(witness)), [*stable, said])
     index = int(data["conserved"])
-    text = statements.conserved(model.casimir_texts[index])
-    slope = sp.Matrix([sp.diff(model.casimirs[index], v) for v in model.z])
-    stays = all(is_zero(entry) is True for entry in model.ports.T * slope)
-    varies = any(is_zero(entry) is False for entry in slope)
-    return Checked("stability", stable and stays and varies, text)
+    name, slope = model.casimir_texts[index], [sp.diff(model.casimirs[index], v) for v in model.z]
+    moved = model.ports.T * sp.Matrix(slope)
+    return Checked.by(
+        "stability",
+        statements.conserved(name),
+        [
+            *stable,
+            (f"no damping moves {name}", lambda: all(is_zero(e) is True for e in moved)),
+            (f"{name} is not constant", lambda: any(is_zero(e) is False for e in slope)),
+        ],
+    )
 
 
 def _linearisation(evidence: Evidence, box: Box) -> arb_mat:

@@ -14,20 +14,14 @@ from pathlib import Path
 
 from necc_casadi.certificate.checker.attraction import check_attraction, check_only_stable
 from necc_casadi.certificate.checker.contents import check_contents
-from necc_casadi.certificate.checker.decrease import (
-    check_casimir,
-    check_damping,
-    check_slope,
-    check_structure,
-)
+from necc_casadi.certificate.checker.decrease import check_decrease
 from necc_casadi.certificate.checker.equilibrium import check_equilibrium
 from necc_casadi.certificate.checker.evidence import Checked, Evidence
 from necc_casadi.certificate.checker.global_stability import check_global
 from necc_casadi.certificate.checker.input_limits import check_input_limits
 from necc_casadi.certificate.checker.model import StoredDesign
-from necc_casadi.certificate.checker.region.region import check_region
-from necc_casadi.certificate.claims import statements
-from necc_casadi.certificate.claims.claim import CERTIFICATE_FORMAT
+from necc_casadi.certificate.checker.region.region import check_region, region_proof
+from necc_casadi.certificate.claims.claim import CERTIFICATE_FILE, DESIGN_FILE
 from necc_casadi.certificate.claims.fields import read_fields
 from necc_casadi.errors import OutputError
 
@@ -43,17 +37,11 @@ def check(folder: Path) -> tuple[Checked, ...]:
         When design.json or certificate.json is missing or unreadable.
     """
     design_text, certificate_text = (
-        _read(folder / name) for name in ("design.json", "certificate.json")
+        _read(folder / name) for name in (DESIGN_FILE, CERTIFICATE_FILE)
     )
-    remedy = "Run necc-design again."
     try:
-        certificate = read_fields(certificate_text)
-        if certificate["format"] != CERTIFICATE_FORMAT:
-            raise ValueError(
-                f"format {certificate['format']}; this version reads {CERTIFICATE_FORMAT}"
-            )
-        evidence = Evidence(StoredDesign(json.loads(design_text)), certificate)
-        same = certificate["design_hash"] == hashlib.sha256(design_text.encode()).hexdigest()
+        stored = read_fields(certificate_text)
+        evidence = Evidence(StoredDesign(json.loads(design_text)), stored)
         results = [_as_worded(evidence, result) for result in _everything(evidence)]
         contents = check_contents(evidence, results)
     except (
@@ -61,8 +49,11 @@ def check(folder: Path) -> tuple[Checked, ...]:
         binascii.Error, zlib.error,
     ) as problem:  # fmt: skip
         raise OutputError(
-            "output", f"{folder} holds no readable certificate: {problem!r}", remedy
+            "output",
+            f"{folder} holds no readable certificate: {problem!r}",
+            "Run necc-design again.",
         ) from None
+    same = evidence.certificate.design_hash == hashlib.sha256(design_text.encode()).hexdigest()
     text = "the certificate is about this design.json" if same else "design.json has changed"
     return Checked("design", same, text), *results, contents
 
@@ -81,30 +72,26 @@ def _as_worded(evidence: Evidence, result: Checked) -> Checked:
     claim = evidence.claims.get(result.name)
     if claim is None or not result.holds:
         return result
-    if claim["holds"] is True and claim["statement"] == result.statement:
+    if claim.holds and claim.statement == result.statement:
         return result
     return Checked(result.name, False, f"claimed in other words than proved: {result.statement}")
 
 
 def _everything(evidence: Evidence) -> list[Checked]:
-    model, certificate = evidence.model, evidence.certificate
-    conditions = [
-        check_casimir(model),
-        check_structure(model),
-        check_slope(evidence),
-        check_damping(model),
-    ]
-    decrease = Checked("decrease", all(r.holds for r in conditions), statements.DECREASE)
-    results = [check_equilibrium(evidence), *conditions, decrease]
-    sound, stability = all(r.holds for r in results), certificate["stability"]
-    settle = check_attraction if stability == "asymptotic" else check_only_stable
-    results.append(settle(evidence, sound))
-    settled = results[-1].holds
-    if "region" in evidence.claims or certificate["region"] is not None:
-        results.append(check_region(evidence, settled))
-    if evidence.claimed("input_limits") or certificate["level_u"] is not None:
-        within = results[-1].name == "region" and results[-1].holds
-        results.append(check_input_limits(evidence, within))
-    if evidence.claimed("global") or certificate["is_global"]:
-        results.append(check_global(evidence, settled and stability == "asymptotic"))
+    """Each claim, given those that it rests on."""
+    certificate = evidence.certificate
+    equilibrium, decrease = check_equilibrium(evidence), check_decrease(evidence)
+    sound = equilibrium.holds and all(part.holds for part in decrease)
+    attracts = certificate.stability == "asymptotic"
+    settled = (check_attraction if attracts else check_only_stable)(evidence, sound)
+    results = [equilibrium, *decrease, settled]
+    proof, region_holds = region_proof(evidence), False
+    if "region" in evidence.claims or certificate.region is not None:
+        region = check_region(evidence, proof, settled.holds)
+        region_holds = region.holds
+        results.append(region)
+    if evidence.claimed("input_limits") or certificate.level_u is not None:
+        results.append(check_input_limits(evidence, proof, region_holds))
+    if evidence.claimed("global") or certificate.is_global:
+        results.append(check_global(evidence, settled.holds and attracts))
     return results

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from necc_casadi.certificate.checker.evidence import Checked, Evidence
-from necc_casadi.certificate.claims.fields import Fields
 from necc_casadi.certificate.claims.statements import UNPROVED
 
 __all__ = ["check_contents"]
@@ -24,35 +23,32 @@ def check_contents(evidence: Evidence, results: Sequence[Checked]) -> Checked:
     left = [name for name in evidence.claims if _count(evidence, name) > 1]
     left += [f"claim {name}" for name in evidence.claims if not _known(evidence, name, checked)]
     left += _stray(evidence)
-    left += evidence.certificate.unread()
-    left += [entry for claim in evidence.listed for entry in claim.unread()]
+    left += evidence.stored.unread()
     if left:
         return Checked("contents", False, f"not proved, but in the file: {', '.join(left)}")
     return Checked("contents", True, "the certificate says nothing else")
 
 
 def _count(evidence: Evidence, name: str) -> int:
-    return sum(claim["name"] == name for claim in evidence.listed)
+    return sum(claim.name == name for claim in evidence.certificate.claims)
 
 
 def _known(evidence: Evidence, name: str, checked: set[str]) -> bool:
     """Whether a held claim was checked, or one that is not held says no more than that."""
     claim = evidence.claims[name]
-    if not isinstance(claim["data"], Fields):
-        return False
-    if claim["holds"] is True:
+    if claim.holds:
         return name in checked
-    opening, text = UNPROVED.get(name), str(claim["statement"])
-    return claim["holds"] is False and opening is not None and text.startswith(opening)
+    opening = UNPROVED.get(name)
+    return opening is not None and claim.statement.startswith(opening)
 
 
 def _stray(evidence: Evidence) -> list[str]:
     """Fields that are at odds with the claims."""
     certificate = evidence.certificate
     left = []
-    if certificate["is_global"] is not evidence.claimed("global"):
+    if certificate.is_global is not evidence.claimed("global"):
         left.append("is_global")
     for name, fields in _BESIDE.items():
         if not evidence.claimed(name):
-            left += [field for field in fields if certificate[field] is not None]
+            left += [field for field in fields if getattr(certificate, field) is not None]
     return left

@@ -1,8 +1,12 @@
-"""V never increases: the Casimir condition, the structure, Φ₁ > 0 and the damping, exactly."""
+"""V never increases: the Casimir condition, the structure, Φ₁ > 0 and the damping, exactly.
+
+Of V̇ = −∇Vᵀ Rcl ∇V / Φ₁ − ∇Vᵀ 𝒢𝒟𝒢ᵀ ∇V (Lemma EnergyCasimirControl) every sign is proved again.
+"""
 
 from __future__ import annotations
 
 import math
+from functools import partial
 
 import sympy as sp
 
@@ -13,35 +17,68 @@ from necc_casadi.certificate.claims import statements
 from necc_casadi.symbolic.semidefinite import is_positive_semidefinite
 from necc_casadi.symbolic.zero import is_zero
 
-__all__ = ["check_casimir", "check_damping", "check_slope", "check_structure"]
+__all__ = ["check_decrease"]
 
 
-def check_casimir(model: StoredDesign) -> Checked:
+def check_decrease(evidence: Evidence) -> list[Checked]:
+    """The four conditions of V̇ ≤ 0, then V̇ ≤ 0 itself."""
+    model = evidence.model
+    conditions = [_casimir(model), _structure(model), _slope(evidence), _damping(model)]
+    proved = ((condition.name, partial(bool, condition.holds)) for condition in conditions)
+    return [*conditions, Checked.by("decrease", statements.DECREASE, proved)]
+
+
+def _casimir(model: StoredDesign) -> Checked:
     """∇CᵀM = 0 for every closed form (eq. CasimirCondition)."""
     M = model.Jcl - model.Rcl
-    rows = [sp.Matrix([[sp.diff(c, v) for v in model.z]]) * M for c in model.casimirs]
-    holds = all(is_zero(entry) is True for row in rows for entry in row)
-    return Checked("casimir", holds, statements.casimir(model.casimir_texts))
+
+    def stays(c: sp.Expr) -> bool:
+        return _vanishes(sp.Matrix([[sp.diff(c, v) for v in model.z]]) * M)
+
+    named = zip(model.casimir_texts, model.casimirs, strict=True)
+    obligations = ((f"the condition for {text}", partial(stays, c)) for text, c in named)
+    return Checked.by("casimir", statements.casimir(model.casimir_texts), obligations)
 
 
-def check_structure(m: StoredDesign) -> Checked:
+def _structure(m: StoredDesign) -> Checked:
     """Skewness and semidefiniteness, exactly."""
-    skew = all(is_zero(e) is True for A in (m.J, m.Jc) for e in A + A.T)
-    symmetric = all(is_zero(e) is True for A in (m.R, m.Rc) for e in A - A.T)
-    dissipative = all(is_positive_semidefinite(A) is True for A in (m.R, m.Rc))
-    return Checked("structure", skew and symmetric and dissipative, statements.STRUCTURE)
+    skew = [
+        (f"{name} = −{name}ᵀ", partial(_vanishes, A + A.T))
+        for name, A in (("J", m.J), ("Jc", m.Jc))
+    ]
+    dissipative = [
+        (f"{name} = {name}ᵀ ⪰ 0", partial(_is_dissipative, A))
+        for name, A in (("R", m.R), ("Rc", m.Rc))
+    ]
+    return Checked.by("structure", statements.STRUCTURE, [*skew, *dissipative])
 
 
-def check_slope(evidence: Evidence) -> Checked:
+def _vanishes(A: sp.Matrix) -> bool:
+    return all(is_zero(entry) is True for entry in A)
+
+
+def _is_dissipative(R: sp.Matrix) -> bool:
+    return _vanishes(R - R.T) and is_positive_semidefinite(R) is True
+
+
+def _slope(evidence: Evidence) -> Checked:
     """Φ₁ > 0: the sum has 1, the neural form δ."""
     model = evidence.model
-    claimed = float(evidence.claims["slope"]["data"]["slope"])
-    holds = all(math.isfinite(w) for w in model.weights) and 0 < claimed <= model.delta
+    claimed = float(evidence.claims["slope"].data["slope"])
     neural = model.form["phi"] is not None
-    return Checked("slope", holds, statements.slope(claimed if neural else None))
+    return Checked.by(
+        "slope",
+        statements.slope(claimed if neural else None),
+        [
+            ("the weights are finite", lambda: all(math.isfinite(w) for w in model.weights)),
+            ("the bound of Φ₁ is positive", lambda: claimed > 0),
+            (f"the form has Φ₁ ≥ {claimed:.6g}", lambda: claimed <= model.delta),
+        ],
+    )
 
 
-def check_damping(model: StoredDesign) -> Checked:
+def _damping(model: StoredDesign) -> Checked:
     """D, Dc ≻ 0 by elimination over the rationals."""
-    holds = all(exactly_positive(A) for A in (model.D, model.Dc))
-    return Checked("damping", holds, statements.DAMPING)
+    parts = (("D ≻ 0", model.D), ("Dc ≻ 0", model.Dc))
+    obligations = ((name, partial(exactly_positive, A)) for name, A in parts)
+    return Checked.by("damping", statements.DAMPING, obligations)

@@ -1,4 +1,4 @@
-"""z̄: one critical point near z*, a strict minimum there, and whether the damped loop goes to it."""
+"""z̄: one critical point of V near z*, a strict minimum there (eq. ErrorUpperBound, with μ)."""
 
 from __future__ import annotations
 
@@ -23,26 +23,42 @@ _BITS = 128
 
 
 def check_equilibrium(evidence: Evidence) -> Checked:
-    """One critical point in the ball, ∇²V ⪰ μI there, and the distances."""
-    c = evidence.certificate
-    if c["mu"] is None or c["radius"] is None:
+    """One critical point in the ball, ∇²V ⪰ μI there, and the distances: ‖z̄ − z*‖ ≤ g/μ.
+
+    With g = ‖∇V(z*)‖ < μr, eq. ErrorUpperBound holds with μ, which is proved, for its a.
+    """
+    c, model = evidence.certificate, evidence.model
+    mu, radius, bound = c.mu, c.radius, c.bound_rigorous
+    if mu is None or radius is None or bound is None or c.enclosure is None:
         return Checked("equilibrium", False, "no equilibrium is claimed")
-    mu, radius, bound = (float(c[key]) for key in ("mu", "radius", "bound_rigorous"))
     with ctx.workprec(_BITS):
-        target = evidence.model.target_balls()
+        target = model.target_balls()
         g = norm(evidence.full.gradient_at(target))
-    data = evidence.claims["equilibrium"]["data"]
-    holds = mu > 0 and radius > 0 and bool(g < arb(mu) * arb(radius))
-    holds = holds and bool(g <= float(data["gradient_norm"]))
-    holds = holds and bool(g / mu <= bound) and _enclosed(evidence, target)
+    claimed = float(evidence.claims["equilibrium"].data["gradient_norm"])
     cube = tuple(ends(t + ball(-radius, radius)) for t in target)
-    holds = holds and by_bisection(
-        cube,
-        lambda box: positive(evidence.full.hessian(box), mu),
-        _DEPTH,
-        _bending(evidence.model),
+    near = norm([t - v for t, v in zip(target, c.z_bar, strict=True)])
+
+    def convex() -> bool:
+        return by_bisection(
+            cube, lambda box: positive(evidence.full.hessian(box), mu), _DEPTH, _bending(model)
+        )
+
+    return Checked.by(
+        "equilibrium",
+        statements.equilibrium(radius, mu, bound),
+        [
+            ("μ and the radius are positive", lambda: mu > 0 and radius > 0),
+            ("‖∇V(z*)‖ is less than μ times the radius", lambda: bool(g < arb(mu) * arb(radius))),
+            ("‖∇V(z*)‖ is at most what is claimed", lambda: bool(g <= claimed)),
+            ("‖∇V(z*)‖/μ is at most the distance claimed", lambda: bool(g / mu <= bound)),
+            (
+                "z̄ is as near to the claimed point as is claimed",
+                lambda: bool(_residual(evidence) / mu <= c.enclosure),
+            ),
+            ("the claimed z̄ is in the ball", lambda: bool(near < radius)),
+            ("∇²V ⪰ μI on the cube around the ball", convex),
+        ],
     )
-    return Checked("equilibrium", holds, statements.equilibrium(radius, mu, bound))
 
 
 def _bending(model: StoredDesign) -> list[bool]:
@@ -54,13 +70,7 @@ def _bending(model: StoredDesign) -> list[bool]:
     return [v in found for v in model.z]
 
 
-def _enclosed(evidence: Evidence, target: list[arb]) -> bool:
-    """The minimum is within the claimed distance of the claimed z̄, inside the ball."""
-    c = evidence.certificate
-    z_bar = [float(v) for v in c["z_bar"]]
+def _residual(evidence: Evidence) -> arb:
+    """‖∇V‖ at the claimed z̄."""
     with ctx.workprec(_BITS):
-        residual = norm(evidence.full.gradient_at([arb(v) for v in z_bar]))
-    near = norm([t - v for t, v in zip(target, z_bar, strict=True)])
-    return bool(residual / float(c["mu"]) <= float(c["enclosure"])) and bool(
-        near < float(c["radius"])
-    )
+        return norm(evidence.full.gradient_at([arb(v) for v in evidence.certificate.z_bar]))

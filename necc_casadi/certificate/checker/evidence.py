@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 from flint import arb
@@ -10,9 +10,14 @@ from flint import arb
 from necc_casadi.certificate.checker.arithmetic.balls import Box, ball, ends
 from necc_casadi.certificate.checker.arithmetic.potential import Energy
 from necc_casadi.certificate.checker.model import StoredDesign
+from necc_casadi.certificate.claims.certificate import Certificate
 from necc_casadi.certificate.claims.fields import Fields
 
-__all__ = ["Checked", "Evidence"]
+__all__ = ["Checked", "Evidence", "Obligation"]
+
+
+#: What has to be proved, in words, and the proof, which is tried when its turn comes.
+Obligation = tuple[str, Callable[[], bool]]
 
 
 @dataclass(frozen=True)
@@ -23,20 +28,28 @@ class Checked:
     holds: bool
     statement: str  # worded by what the checker proved, or would have to
 
+    @classmethod
+    def by(cls, name: str, statement: str, obligations: Iterable[Obligation]) -> Checked:
+        """Held where every obligation is proved, in order; otherwise the first that is not."""
+        missing = next((what for what, proved in obligations if not proved()), None)
+        if missing is None:
+            return cls(name, True, statement)
+        return cls(name, False, f"{statement}; not proved: {missing}")
+
 
 class Evidence:
     """A design and the numbers of its certificate, which are hints until they are proved again."""
 
-    def __init__(self, model: StoredDesign, certificate: Fields) -> None:
-        self.model, self.certificate = model, certificate
-        self.listed = [Fields(claim, f"{claim['name']}: ") for claim in certificate["claims"]]
-        self.claims = {str(claim["name"]): claim for claim in self.listed}
+    def __init__(self, model: StoredDesign, stored: Fields) -> None:
+        self.model, self.stored = model, stored
+        self.certificate = Certificate.read(stored)
+        self.claims = {claim.name: claim for claim in self.certificate.claims}
         self.full = Energy(model, range(len(model.z)))
         self._reduced: dict[tuple[int, ...], Energy] = {}
 
     def claimed(self, name: str) -> bool:
         """Whether a claim is listed and held."""
-        return name in self.claims and self.claims[name]["holds"] is True
+        return name in self.claims and self.claims[name].holds
 
     def reduced(self, active: Sequence[int]) -> Energy:
         """V in some of the states, the others at rest; one object, which keeps its results."""
@@ -46,6 +59,14 @@ class Evidence:
         return self._reduced[key]
 
     def z_bar(self, active: Sequence[int]) -> Box:
-        """A box that holds z̄, in some of the states."""
-        radius, z = float(self.certificate["enclosure"]), self.certificate["z_bar"]
-        return tuple(ends(arb(float(z[i])) + ball(-radius, radius)) for i in active)
+        """A box that holds z̄, in some of the states.
+
+        Raises
+        ------
+        ValueError
+            When the certificate does not say how near z̄ is.
+        """
+        radius, z = self.certificate.enclosure, self.certificate.z_bar
+        if radius is None:
+            raise ValueError("no enclosure of z̄")
+        return tuple(ends(arb(z[i]) + ball(-radius, radius)) for i in active)

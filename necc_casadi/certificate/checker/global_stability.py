@@ -1,4 +1,7 @@
-"""The global claim: ∇²V ⪰ μI and ∂²H/∂s² ⪰ μI for all states, by bounds of the networks."""
+"""The global claim: ∇²V ⪰ μI and ∂²H/∂s² ⪰ μI for all states, by bounds of the networks.
+
+LaSalle's principle then takes every solution to the one critical point.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +13,7 @@ from necc_casadi.certificate.checker.arithmetic.definite import positive
 from necc_casadi.certificate.checker.arithmetic.hessian_floor import curvature_above, hessian_floor
 from necc_casadi.certificate.checker.evidence import Checked, Evidence
 from necc_casadi.certificate.checker.invariant_sets import largest_invariant_set_is_critical
-from necc_casadi.certificate.checker.momenta import at_rest
+from necc_casadi.certificate.checker.momenta import are_momenta
 from necc_casadi.certificate.claims import statements
 from necc_casadi.symbolic.zero import is_zero
 
@@ -22,37 +25,64 @@ _DEPTH = 14
 
 
 def check_global(evidence: Evidence, sound: bool) -> Checked:
-    """∇²V ⪰ μI and ∂²H/∂s² ⪰ μI for all states, by periodicity and bounds of the networks."""
-    text = statements.GLOBAL
+    """∇²V ⪰ μI and ∂²H/∂s² ⪰ μI for all states, by periodicity and bounds of the networks.
+
+    V then is radially unbounded with one critical point, and LaSalle's invariance principle
+    takes every solution to it.
+    """
     model, form = evidence.model, evidence.model.form
-    constant = not (model.Jcl - model.Rcl).free_symbols and not model.ports.free_symbols
-    sound = sound and evidence.claimed("global")
-    if not (sound and constant and form["phi"] is None and not form["betas"]):
-        return Checked("global", False, text)
-    named = evidence.claims["global"]["data"]["resting"]
-    resting = [i for i in range(len(model.z)) if i in named]
-    active = [i for i in range(len(model.z)) if i not in resting]
-    y, s = ([model.z[i] for i in chosen] for chosen in (active, resting))
-    slopes = [[sp.diff(c, v) for v in y] for c in model.casimirs]
-    floors = _floors(evidence)
-    holds = (
-        floors is not None
-        and not sp.Matrix(slopes).free_symbols
-        and at_rest(model, resting)
-        and largest_invariant_set_is_critical(model, resting, None)
-        and _bowl(sp.hessian(model.H, s) if s else sp.eye(1), None)
-        and _bowl(
-            sp.hessian(model.H.subs(dict.fromkeys(s, 0)), y), _from_nets(slopes, floors, model.nc)
-        )
+
+    def varying() -> set[sp.Symbol]:
+        free: set[sp.Symbol] = (model.Jcl - model.Rcl).free_symbols | model.ports.free_symbols
+        return free
+
+    scope = Checked.by(
+        "global",
+        statements.GLOBAL,
+        [
+            ("z̄ attracts", lambda: sound),
+            ("the claim is held", lambda: evidence.claimed("global")),
+            ("the loop is of constant structure", lambda: not varying()),
+            ("Φ is the sum H + Hc + K(c)", lambda: form["phi"] is None and not form["betas"]),
+        ],
     )
-    return Checked("global", holds, text)
+    return _on_the_whole_space(evidence) if scope.holds else scope
+
+
+def _on_the_whole_space(evidence: Evidence) -> Checked:
+    model, named = evidence.model, evidence.claims["global"].data["resting"]
+    resting = [i for i in range(len(model.z)) if i in named]
+    y, s = ([v for i, v in enumerate(model.z) if (i in resting) is rest] for rest in (False, True))
+    slopes = [[sp.diff(c, v) for v in y] for c in model.casimirs]
+    stiffness = sp.hessian(model.H, s) if s else sp.eye(1)
+
+    def convex() -> bool:
+        floors, rest = _floors(evidence), model.H.subs(dict.fromkeys(s, 0))
+        return floors is not None and _bowl(
+            sp.hessian(rest, y), _from_nets(slopes, floors, model.nc)
+        )
+
+    return Checked.by(
+        "global",
+        statements.GLOBAL,
+        [
+            ("the Casimirs are linear", lambda: not sp.Matrix(slopes).free_symbols),
+            ("the resting states are momenta", lambda: are_momenta(model, resting)),
+            (
+                "invariant sets are critical points",
+                lambda: largest_invariant_set_is_critical(model, resting, None),
+            ),
+            ("∂²H/∂s² ≻ 0 for all states", lambda: _bowl(stiffness, None)),
+            ("∇²V ≻ 0 for all states, the momenta at rest", convex),
+        ],
+    )
 
 
 def _floors(evidence: Evidence) -> list[arb_mat] | None:
     """Matrices below ∇²Hc and ∇²K for all arguments; None where a claimed bend is not proved."""
     form, result = evidence.model.form, []
     nets, shapes = (evidence.full.hc, evidence.full.k), (form["hc"], form["k"])
-    bends = evidence.claims["global"]["data"]["bends"]
+    bends = evidence.claims["global"].data["bends"]
     for net, shape, bend in zip(nets, shapes, bends, strict=True):
         if bend is None:
             result.append(hessian_floor(net, shape["activation"]))

@@ -1,4 +1,4 @@
-"""Input limits over boxes of the states that are not momenta."""
+"""Input limits over boxes of the states that are no momenta: u of Lemma EnergyCasimirControl."""
 
 from __future__ import annotations
 
@@ -9,8 +9,7 @@ from necc_casadi.certificate.checker.arithmetic.balls import Box, ball, by_bisec
 from necc_casadi.certificate.checker.arithmetic.potential import Energy
 from necc_casadi.certificate.checker.evidence import Checked, Evidence
 from necc_casadi.certificate.checker.model import StoredDesign
-from necc_casadi.certificate.checker.region.chart import ChartProof
-from necc_casadi.certificate.checker.region.region import _PROOFS
+from necc_casadi.certificate.checker.region.proof import RegionProof
 from necc_casadi.certificate.claims import statements
 
 __all__ = ["InputProof", "check_input_limits"]
@@ -82,19 +81,26 @@ class InputProof:
         return arb((root * slope / delta.sqrt()).upper())
 
 
-def check_input_limits(evidence: Evidence, sound: bool) -> Checked:
+def check_input_limits(evidence: Evidence, proof: RegionProof | None, sound: bool) -> Checked:
     """U stays within the model's limits wherever V ≤ c_u on the cells of the region."""
-    level, region = evidence.certificate["level_u"], evidence.certificate["region"]
-    limits = evidence.model.u_limits
-    if level is None or limits is None or region is None or not sound:
-        return Checked("input_limits", False, "no input limits are proved to be kept")
-    active = [int(i) for i in region["active"]]
-    energy, z_bar = evidence.reduced(active), evidence.z_bar(active)
-    proof = _PROOFS[region["method"]](evidence, energy, region, z_bar)
-    if isinstance(proof, ChartProof):
+    level, limits = evidence.certificate.level_u, evidence.model.u_limits
+    if level is None or limits is None or proof is None or not sound:
+        given = level is not None and limits is not None and proof is not None
+        missing = "a proved region" if given else "limits, a level or a region in the files"
+        text = f"no input limits are proved to be kept, for want of {missing}"
+        return Checked("input_limits", False, text)
+    boxes, region = proof.boxes(), proof.region
+    if boxes is None:
         return Checked("input_limits", False, "no input limits in the coordinates (c, ξ)")
-    inputs = InputProof(evidence.model, energy, float(level))
-    holds = bool(energy.value(z_bar) < float(level)) and float(level) <= float(region["level"])
-    holds = holds and inputs.covered() and all(inputs.kept(box) for box in proof.boxes())
-    text = statements.input_limits(limits, float(level), float(region["level"]))
-    return Checked("input_limits", holds, text)
+    energy, z_bar = proof.energy, evidence.z_bar(region.active)
+    inputs = InputProof(evidence.model, energy, level)
+    return Checked.by(
+        "input_limits",
+        statements.input_limits(limits, level, region.level),
+        [
+            ("V(z̄) < c_u", lambda: bool(energy.value(z_bar) < level)),
+            ("c_u ≤ c", lambda: level <= region.level),
+            ("the momenta enter u through Gᵀ Φ₁ A s alone", inputs.covered),
+            ("u is within its limits where V ≤ c_u", lambda: all(map(inputs.kept, boxes))),
+        ],
+    )

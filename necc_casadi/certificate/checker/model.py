@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
+from functools import cached_property
 from typing import Any
 
 import sympy as sp
@@ -68,6 +69,7 @@ class StoredDesign:
         """z* = (x*, ξ*)."""
         return [evaluate(v, {}) for v in self.target] + [arb(v) for v in self.xi_star]
 
+    @cached_property
     def bounds(self) -> list[tuple[arb, arb]]:
         """The domain; target ± 2 where the model names none."""
         result = []
@@ -75,6 +77,13 @@ class StoredDesign:
             lo, hi = self.domain.get(name, (None, None))
             result.append((at - 2, at + 2) if lo is None else (evaluate(lo, {}), evaluate(hi, {})))
         return result
+
+    def in_domain(self, states: Sequence[int], sides: Iterable[tuple[arb, arb]]) -> bool:
+        """Whether a box of some of the states, by ends that are numbers or balls, is inside."""
+        return all(
+            bool(self.bounds[i][0] <= lo) and bool(hi <= self.bounds[i][1])
+            for i, (lo, hi) in zip(states, sides, strict=True)
+        )
 
     @property
     def delta(self) -> float:

@@ -1,4 +1,7 @@
-"""Momenta, judged anew for the checker."""
+"""Momenta, judged anew: states that enter H as ½ sᵀA(y)s and no Casimir, and how far they go.
+
+With Φ₁ ≥ δ, V(y, s) ≥ V(y, 0) + ½ δ sᵀA(y)s.
+"""
 
 from __future__ import annotations
 
@@ -9,14 +12,17 @@ from flint import arb, arb_mat
 
 from necc_casadi.certificate.checker.arithmetic.balls import Box, ball, by_bisection, ends, evaluate
 from necc_casadi.certificate.checker.arithmetic.definite import positive
-from necc_casadi.certificate.checker.invariant_sets import _DEPTH
 from necc_casadi.certificate.checker.model import StoredDesign
 from necc_casadi.symbolic.zero import is_zero
 
-__all__ = ["at_rest", "momentum_inside"]
+__all__ = ["are_momenta", "momentum_inside"]
 
 
-def at_rest(model: StoredDesign, resting: Sequence[int]) -> bool:
+#: How often a box may be halved before a test on it counts as failed.
+_DEPTH = 14
+
+
+def are_momenta(model: StoredDesign, resting: Sequence[int]) -> bool:
     """H = ½ sᵀA(y)s + U(y) in the resting plant states s, which no Casimir contains."""
     s = [model.z[i] for i in resting]
     zero = dict.fromkeys(s, 0)
@@ -37,7 +43,7 @@ def momentum_inside(
     bottom: arb,
 ) -> bool:
     """½ δ sᵀA(y)s > c − V(z̄) wherever the resting state i leaves the domain, and A ≻ 0."""
-    bounds = model.bounds()
+    bounds = model.bounds
     lo, hi = bounds[i]
     reach = (-lo).min(hi)
     if not reach > 0:

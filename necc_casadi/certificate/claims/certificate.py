@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import asdict, dataclass, fields
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
 from typing import Any
 
-from necc_casadi.certificate.claims.claim import CERTIFICATE_FORMAT, Claim
-from necc_casadi.certificate.claims.regions import ChartRegion, EllipsoidRegion, GridRegion, Region
+from necc_casadi.certificate.claims.claim import CERTIFICATE_FILE, CERTIFICATE_FORMAT, Claim
+from necc_casadi.certificate.claims.fields import read_as
+from necc_casadi.certificate.claims.regions import RegionClaim, Stability, read_region
 from necc_casadi.errors import OutputError
 
 __all__ = ["Certificate"]
@@ -28,13 +30,13 @@ class Certificate:
     mu: float | None  # ∇²V ⪰ μI on the ball around z*
     radius: float | None  # of that ball
     bound_rigorous: float | None  # ‖z̄ − z*‖ ≤ g/μ
-    stability: str | None  # "asymptotic", "stable" or None
+    stability: Stability | None
     level: float | None = None  # c of the region {V ≤ c}
     level_u: float | None = None  # c_u ≤ c with u within its limits on {V ≤ c_u}
     limited_by: str | None = None
     domain_share: float | None = None  # of the domain, momenta at rest: a lower bound
     is_global: bool = False
-    region: Region | None = None
+    region: RegionClaim | None = None
 
     @property
     def certified(self) -> bool:
@@ -50,7 +52,7 @@ class Certificate:
         return json.dumps(_finite(data), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
 
     @classmethod
-    def from_json(cls, text: str, label: str = "certificate.json") -> Certificate:
+    def from_json(cls, text: str, label: str = CERTIFICATE_FILE) -> Certificate:
         """Read what :meth:`to_json` wrote.
 
         Raises
@@ -58,33 +60,31 @@ class Certificate:
         OutputError
             When it is not a certificate of this format.
         """
-        remedy = f"Design it again; this version reads format {CERTIFICATE_FORMAT}."
         try:
-            data = json.loads(text)
-            if data.pop("format") != CERTIFICATE_FORMAT:
-                raise OutputError("output", f"{label} has another format", remedy)
-            data["claims"] = tuple(Claim(**claim) for claim in data["claims"])
-            data["z_bar"] = tuple(float(v) for v in data["z_bar"])
-            if data["region"] is not None:
-                data["region"] = _region(data["region"])
-            return cls(**{f.name: data[f.name] for f in fields(cls)})
+            return cls.read(json.loads(text), label)
         except (KeyError, TypeError, ValueError, AttributeError) as problem:
-            raise OutputError(
-                "output", f"{label} is not a certificate: {problem!r}", remedy
-            ) from None
+            fault = f"{label} is not a certificate: {problem!r}"
+            raise OutputError("output", fault, _REMEDY) from None
+
+    @classmethod
+    def read(cls, data: Mapping[str, Any], label: str = CERTIFICATE_FILE) -> Certificate:
+        """The object of certificate.json, of which every entry is asked for.
+
+        What is within the `data` of a claim is left to whoever proves the claim.
+
+        Raises
+        ------
+        OutputError
+            When it has another format.
+        KeyError, TypeError, ValueError
+            When an entry is missing or has another type.
+        """
+        if (found := data["format"]) != CERTIFICATE_FORMAT:
+            raise OutputError("output", f"{label} has format {found!r:.20}", _REMEDY)
+        return read_as(cls, data, region=read_region)
 
 
-def _region(data: dict[str, Any]) -> Region:
-    def tuples(value: Any) -> Any:
-        return tuple(tuples(v) for v in value) if isinstance(value, list) else value
-
-    kinds: dict[str, type[Region]] = {
-        "grid": GridRegion,
-        "core": EllipsoidRegion,
-        "chart": ChartRegion,
-    }
-    kind = kinds[data["method"]]
-    return kind(**{key: tuples(value) for key, value in data.items()})
+_REMEDY = f"Run necc-design again; this version reads format {CERTIFICATE_FORMAT}."
 
 
 def _finite(value: Any) -> Any:

@@ -6,11 +6,15 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-__all__ = ["CERTIFICATE_FORMAT", "Claim"]
+__all__ = ["CERTIFICATE_FILE", "CERTIFICATE_FORMAT", "DESIGN_FILE", "Claim"]
 
 
 #: Version of the layout of certificate.json.
-CERTIFICATE_FORMAT = 2
+CERTIFICATE_FORMAT = 3
+
+
+#: Names in a folder of necc-design: what is claimed, and what it is claimed about.
+CERTIFICATE_FILE, DESIGN_FILE = "certificate.json", "design.json"
 
 
 @dataclass(frozen=True)

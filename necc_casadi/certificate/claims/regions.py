@@ -1,4 +1,7 @@
-"""Regions as data: what maker and checker both read."""
+"""Regions as data: what maker and checker both read.
+
+How a region is cut into boxes, and what its box is, each side works out for itself.
+"""
 
 from __future__ import annotations
 
@@ -6,31 +9,96 @@ import base64
 import zlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, Literal, Protocol
 
 import numpy as np
 
 from necc_casadi.arrays import Truth, Vector
+from necc_casadi.certificate.claims.fields import read_as
 
 __all__ = [
-    "CELL_LIMITS",
+    "Block",
     "ChartRegion",
     "EllipsoidRegion",
+    "Follows",
     "Grid",
     "GridRegion",
+    "Kind",
     "LimitedBy",
     "Lyapunov",
-    "Region",
+    "Method",
+    "RegionClaim",
     "Rows",
+    "Stability",
+    "numbers",
+    "read_region",
+    "rows",
 ]
 
 
 Rows = tuple[tuple[float, ...], ...]
+#: First and last cell of a block, ends included.
+Block = tuple[tuple[int, ...], tuple[int, ...]]
 #: V as a function of all states.
 Lyapunov = Callable[[Sequence[float]], float]
 
+#: What is proved of z̄.
+Stability = Literal["asymptotic", "stable"]
+#: What is proved of solutions from a region: all go to z̄, some do, or they stay.
+Follows = Literal["converges", "invariant", "stable"]
+#: How a region is described and proved.
+Method = Literal["grid", "ellipsoid", "chart"]
+#: What stops a search: a momentum, the border of the domain or of the cells, a possible critical
+#: point, a pole of the loop, or nothing but the method itself.
+Kind = Literal["momentum", "border", "cells", "critical", "undefined", "method"]
+
 #: What stops a flood of cells at one of them.
-CELL_LIMITS = frozenset({"border", "cells", "critical"})
+_AT_A_CELL: frozenset[Kind] = frozenset({"border", "cells", "critical"})
+
+
+@dataclass(frozen=True)
+class LimitedBy:
+    """What stopped the search for a larger region."""
+
+    kind: Kind
+    at: tuple[int, ...] = ()  # index of the momentum in z, or of the cell in the grid
+
+    @property
+    def names_a_cell(self) -> bool:
+        """Whether `at` is a cell."""
+        return self.kind in _AT_A_CELL
+
+    @property
+    def data(self) -> dict[str, Any]:
+        """The entry of certificate.json."""
+        return {"kind": self.kind, "at": list(self.at)}
+
+
+class RegionClaim(Protocol):
+    """What every region says: Ω is a component of {V ≤ c}, described in the active states."""
+
+    @property
+    def method(self) -> Method:
+        """How it is described."""
+        ...
+
+    @property
+    def level(self) -> float:
+        """The level c."""
+        ...
+
+    @property
+    def active(self) -> tuple[int, ...]:
+        """The states y; the others are momenta."""
+        ...
+
+    def contains(self, V: Lyapunov, z: Sequence[float]) -> bool:
+        """Whether z is in Ω, by plain evaluation of V."""
+        ...
+
+    def place(self, limit: LimitedBy) -> list[float]:
+        """Where in the active states a limit is; empty where it is no place."""
+        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,9 +130,9 @@ class GridRegion:
     first: tuple[int, ...]  # grid, see Grid
     shape: tuple[int, ...]
     step: tuple[float, ...]
-    core: tuple[tuple[int, ...], tuple[int, ...]]  # block around z̄ with ∇²V ≻ 0
+    convex_block: Block  # of cells around z̄ with ∇²V ≻ 0
     cells: str  # bits of the component, compressed, base 64
-    method: str = "grid"
+    method: Literal["grid"] = "grid"
 
     @property
     def grid(self) -> Grid:
@@ -83,20 +151,27 @@ class GridRegion:
         cell = self.grid.cell_of(np.asarray(z, float)[list(self.active)])
         return cell is not None and bool(self.mask[cell]) and V(z) <= self.level
 
+    def place(self, limit: LimitedBy) -> list[float]:
+        """Middle of the cell of a limit, exact where the steps are powers of two."""
+        if not limit.names_a_cell:
+            return []
+        parts = zip(self.first, limit.at, self.step, strict=True)
+        return [(f + k + 0.5) * h for f, k, h in parts]
+
 
 @dataclass(frozen=True)
 class EllipsoidRegion:
-    """Ω as a level and the ellipsoid that holds the component of {V(y, 0) ≤ c}; see Ellipsoid."""
+    """Ω as a level and the ellipsoid that holds the component of {V(y, 0) ≤ c}, by shells of it."""
 
     level: float  # c
     active: tuple[int, ...]  # the states y
     center: tuple[float, ...]  # ȳ
-    L: tuple[tuple[float, ...], ...]
-    radii: tuple[float, ...]
-    nu: tuple[float, ...]
-    step: tuple[float, ...]
+    L: Rows  # lower triangular; |e| = ‖Lᵀe‖ for e = y − ȳ
+    radii: tuple[float, ...]  # outer radius of each shell
+    nu: tuple[float, ...]  # ∇²V ⪰ νLLᵀ on each shell
+    step: tuple[float, ...]  # sides of the cells that cover it
     above: float  # ∇²V ⪯ above·LLᵀ on the ellipsoid
-    method: str = "core"
+    method: Literal["ellipsoid"] = "ellipsoid"
 
     def contains(self, V: Lyapunov, z: Sequence[float]) -> bool:
         """Whether z is in Ω, by plain evaluation of V."""
@@ -104,31 +179,9 @@ class EllipsoidRegion:
         inside = np.linalg.norm(np.array(self.L).T @ e) <= self.radii[-1]
         return bool(inside and V(z) <= self.level)
 
-
-class LimitedBy(NamedTuple):
-    """What stopped the search for a larger region."""
-
-    kind: str  # "momentum"; "border", "cells" or "critical" of a grid; "undefined" or "method"
-    at: tuple[int, ...] = ()  # index of the momentum in z, or of the cell in the grid
-
-    @property
-    def names_a_cell(self) -> bool:
-        """Whether `at` is a cell."""
-        return self.kind in CELL_LIMITS
-
-    @property
-    def data(self) -> dict[str, Any]:
-        """The entry of certificate.json."""
-        return {"kind": self.kind, "at": list(self.at)}
-
-    @classmethod
-    def read(cls, data: Mapping[str, Any]) -> LimitedBy:
-        """The inverse of :attr:`data`."""
-        return cls(str(data["kind"]), tuple(int(k) for k in data["at"]))
-
-    def place(self, first: Sequence[int], step: Sequence[float]) -> list[float]:
-        """Middle of the cell, exact where the steps are powers of two."""
-        return [(f + k + 0.5) * h for f, k, h in zip(first, self.at, step, strict=True)]
+    def place(self, limit: LimitedBy) -> list[float]:
+        """No limit of an ellipsoid is a place."""
+        return []
 
 
 @dataclass(frozen=True)
@@ -149,7 +202,7 @@ class ChartRegion:
     a: float  # |α| ≤ a and
     b: float  # |η| ≤ b in Ω
     fibre: Rows  # (lo, hi) of the box around |α| ≤ a at ξ̄
-    method: str = "chart"
+    method: Literal["chart"] = "chart"
 
     def contains(self, V: Lyapunov, z: Sequence[float]) -> bool:
         """Whether V ≤ c on the straight way to z, by plain evaluation; sufficient for z in Ω."""
@@ -161,5 +214,36 @@ class ChartRegion:
         near = bool((np.linalg.norm(eta, axis=1) <= self.b).all())
         return near and all(V(way) <= self.level for way in path)
 
+    def place(self, limit: LimitedBy) -> list[float]:
+        """No limit of a region in the coordinates (c, ξ) is a place."""
+        return []
 
-Region = GridRegion | EllipsoidRegion | ChartRegion
+
+def numbers(v: Vector) -> tuple[float, ...]:
+    """A vector as data."""
+    return tuple(map(float, v))
+
+
+def rows(A: Vector) -> Rows:
+    """A matrix as data, row by row."""
+    return tuple(numbers(row) for row in A)
+
+
+_KINDS: dict[str, type[GridRegion] | type[EllipsoidRegion] | type[ChartRegion]] = {
+    "grid": GridRegion,
+    "ellipsoid": EllipsoidRegion,
+    "chart": ChartRegion,
+}
+
+
+def read_region(data: Mapping[str, Any]) -> RegionClaim:
+    """A region from its entry of certificate.json.
+
+    Raises
+    ------
+    KeyError, ValueError
+        When an entry is missing or has another type.
+    """
+    if data["method"] not in _KINDS:
+        raise ValueError(f"no region of the method {data['method']!r:.20}")
+    return read_as(_KINDS[data["method"]], data)

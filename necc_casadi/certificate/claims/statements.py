@@ -11,15 +11,12 @@ import math
 from collections.abc import Sequence
 from decimal import ROUND_CEILING, ROUND_FLOOR, Decimal
 
-from necc_casadi.certificate.claims.regions import LimitedBy
+from necc_casadi.certificate.claims.regions import Follows, Kind, LimitedBy, Method, RegionClaim
 
 __all__ = [
-    "CONVERGES",
     "DAMPING",
     "DECREASE",
     "GLOBAL",
-    "INVARIANT",
-    "STABLE",
     "STRUCTURE",
     "UNPROVED",
     "attraction",
@@ -50,18 +47,16 @@ DECREASE = (
 GLOBAL = "z̄ is globally asymptotically stable: every solution converges to it"
 
 
-#: What follows in a region: all of it goes to z̄, some of it does, or it stays.
-CONVERGES = "; every solution from Ω converges to z̄"
-
-
-INVARIANT = "; Ω is invariant, and z̄ locally asymptotically stable"
-
-
-STABLE = " and is invariant; z̄ is stable"
+#: What follows for solutions from a region.
+_FOLLOWS: dict[Follows, str] = {
+    "converges": "; every solution from Ω converges to z̄",
+    "invariant": "; Ω is invariant, and z̄ locally asymptotically stable",
+    "stable": " and is invariant; z̄ is stable",
+}
 
 
 #: What stops a flood of cells at one of them.
-_CELL_LIMITS = {
+_AT_A_CELL: dict[Kind, str] = {
     "border": "the domain",
     "cells": "the width of the cells",
     "critical": "a possible critical point",
@@ -77,9 +72,9 @@ UNPROVED = {
 
 
 #: What limits a region where nothing in its surroundings does.
-_METHODS = {
+_METHODS: dict[Method, str] = {
     "grid": "the resolution of the grid",
-    "core": "the bounds of the curvature of V",
+    "ellipsoid": "the bounds of the curvature of V",
     "chart": "what is proved of motions along the Casimirs",
 }
 
@@ -123,31 +118,25 @@ def only_stable(witness: str) -> str:
     return f"z̄ is stable; by the verdict in design.json no design can make it attract: {witness}"
 
 
-def region(level: float, share: float, limit: str, follows: str) -> str:
+def region(level: float, share: float, limit: str, follows: Follows) -> str:
     """Of the component of {V ≤ c}, and what follows for solutions from it."""
     return (
         f"the component Ω of {{V ≤ {_down(level, 6)}}} around z̄ lies in the domain (at least "
-        f"{_down(100 * share, 2)} % of it, momenta at rest; limited by {limit}){follows}"
+        f"{_down(100 * share, 2)} % of it, momenta at rest; limited by {limit}){_FOLLOWS[follows]}"
     )
 
 
-def limited_by(
-    limit: LimitedBy,
-    method: str,
-    states: Sequence[str],
-    active: Sequence[int] = (),
-    place: Sequence[float] = (),
-) -> str:
-    """The limit of a region; `place` is the middle of its cell, in the active states."""
+def limited_by(limit: LimitedBy, states: Sequence[str], region: RegionClaim | None) -> str:
+    """What limits a region, or leaves none."""
     if limit.kind == "momentum":
         return f"the domain, in {states[limit.at[0]]}"
-    if limit.kind == "undefined":
+    if region is None or limit.kind == "undefined":
         return "the loop, which may have a pole in it"
-    if limit.kind == "method":
-        return _METHODS[method]
-    what = _CELL_LIMITS.get(limit.kind, limit.kind)
-    near = ", ".join(f"{states[i]} = {v:.3g}" for i, v in zip(active, place, strict=True))
-    return f"{what}, near {near}"
+    if limit.kind not in _AT_A_CELL:
+        return _METHODS[region.method]
+    place = zip(region.active, region.place(limit), strict=True)
+    near = ", ".join(f"{states[i]} = {v:.3g}" for i, v in place)
+    return f"{_AT_A_CELL[limit.kind]}, near {near}"
 
 
 def input_limits(limits: Sequence[Sequence[float]], level_u: float, level: float) -> str:

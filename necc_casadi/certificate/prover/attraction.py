@@ -1,8 +1,6 @@
-"""Whether the damped loop goes to z̄: a Lyapunov inequality for its linearisation."""
+"""Whether the damped loop goes to z̄: Lyapunov's indirect method, by a matrix inequality."""
 
 from __future__ import annotations
-
-from collections.abc import Sequence
 
 import numpy as np
 import sympy as sp
@@ -45,17 +43,14 @@ def linearisation(potential: Potential, Z: Interval) -> Interval:
     return matmul(M / slope - injected, potential.jet(Z[None, :]).hess[0])
 
 
-def prove_attraction(
-    potential: Potential, equilibrium: Equilibrium, claims: Sequence[Claim]
-) -> Claim:
+def prove_attraction(potential: Potential, equilibrium: Equilibrium, casimir: Claim) -> Claim:
     """z̄ is locally asymptotically stable: AᵀP + PA ≺ 0 for some P ≻ 0 and every A enclosed.
 
-    A is of ż = (M/Φ₁ − 𝒢𝒟𝒢ᵀ)∇V, which is the damped loop only where M∇C = 0: `claims` say whether
-    that is proved.
+    A is of ż = (M/Φ₁ − 𝒢𝒟𝒢ᵀ)∇V, which is the damped loop only where M∇C = 0, as `casimir` says.
     """
     if not equilibrium.proved:
         return Claim("attraction", False, "no equilibrium is proved, so none is proved to attract")
-    if not all(claim.holds for claim in claims if claim.name == "casimir"):
+    if not casimir.holds:
         text = "z̄ need not be an equilibrium of the loop: the Casimir condition is not proved"
         return Claim("attraction", False, text)
     with np.errstate(all="ignore"):
@@ -79,7 +74,9 @@ def _lyapunov(A: Vector) -> Vector | None:
     """P with AᵀP + PA = −I, in floating point, as a candidate; None where there is none.
 
     With U = (pI − A)⁻¹(pI + A), p > 0, the equation reads P = UᵀPU + 2p(pI − A)⁻ᵀ(pI − A)⁻¹, and
-    the series for P is summed by doubling: n³ operations, where a Kronecker product takes n⁶.
+    the series for P is summed by doubling: n³ operations, where a Kronecker product takes n⁶
+    (Smith's method). On purpose not the checker's way to guess a P, which by one method could
+    share its faults, though either is proved to do before it counts.
     """
     if not np.isfinite(A).all():
         return None

@@ -9,6 +9,7 @@ from dataclasses import replace
 from necc_casadi.certificate.claims import statements
 from necc_casadi.certificate.claims.certificate import Certificate
 from necc_casadi.certificate.claims.claim import Claim
+from necc_casadi.certificate.claims.regions import Follows, Stability
 from necc_casadi.certificate.prover.arithmetic.intervals import self_test
 from necc_casadi.certificate.prover.arithmetic.potential import Potential
 from necc_casadi.certificate.prover.attraction import prove_attraction, prove_only_stable
@@ -46,12 +47,15 @@ def certify(design: Design, *, region: bool = True, report: Report | None = None
     return certificate
 
 
-def _local(potential: Potential, equilibrium: Equilibrium) -> tuple[tuple[Claim, ...], str | None]:
+def _local(
+    potential: Potential, equilibrium: Equilibrium
+) -> tuple[tuple[Claim, ...], Stability | None]:
     """What holds near z̄, and the kind of stability that follows."""
     design = potential.design
-    claims = (_equilibrium_claim(equilibrium), *prove_decrease(design))
-    attraction = prove_attraction(potential, equilibrium, claims)
-    if not (equilibrium.proved and claims[-1].holds):
+    decrease = prove_decrease(design)
+    claims = (_equilibrium_claim(equilibrium), *decrease.claims)
+    attraction = prove_attraction(potential, equilibrium, decrease.casimir)
+    if not (equilibrium.proved and decrease.decrease.holds):
         return (*claims, attraction), None
     if attraction.holds:
         return (*claims, attraction), "asymptotic"
@@ -95,7 +99,7 @@ def _extended(
     )
 
 
-def _global_claim(design: Design, stability: str) -> Claim:
+def _global_claim(design: Design, stability: Stability) -> Claim:
     found = GlobalStability("z̄ is not proved to attract")
     if stability == "asymptotic":
         found = prove_global_stability(design, design.momenta)
@@ -105,28 +109,34 @@ def _global_claim(design: Design, stability: str) -> Claim:
     return Claim("global", True, statements.GLOBAL, data)
 
 
-def _region_claim(design: Design, proof: RegionProof, stability: str) -> Claim:
+def _region_claim(design: Design, proof: RegionProof, stability: Stability) -> Claim:
     limit = proof.limited_by(design.loop.states)
     if proof.region is None or proof.limit is None:
         return Claim("region", False, f"{statements.UNPROVED['region']} is proved: {limit}")
-    follows = statements.STABLE
-    if stability == "asymptotic":
-        resting = [i for i in range(design.loop.n) if i not in proof.region.active]
-        every = largest_invariant_set_is_critical(
-            design, resting, surroundings(design, proof.region)
-        )
-        follows = statements.CONVERGES if every else statements.INVARIANT
+    follows = _follows(design, proof, stability)
     text = statements.region(proof.region.level, proof.shares["domain_share"], limit, follows)
-    return Claim("region", True, text, {**proof.shares, "limit": proof.limit.data})
+    data = {**proof.shares, "limit": proof.limit.data, "follows": follows}
+    return Claim("region", True, text, data)
+
+
+def _follows(design: Design, proof: RegionProof, stability: Stability) -> Follows:
+    """What follows for solutions from the region (LaSalle's invariance principle)."""
+    around = surroundings(design, proof)
+    if stability != "asymptotic" or proof.region is None or around is None:
+        return "stable"
+    resting = [i for i in range(design.loop.n) if i not in proof.region.active]
+    every = largest_invariant_set_is_critical(design, resting, around)
+    return "converges" if every else "invariant"
 
 
 def _input_level(design: Design, proof: RegionProof, equilibrium: Equilibrium) -> float | None:
-    if proof.region is None:
+    boxes = proof.boxes()
+    if proof.region is None or boxes is None:
         return None
     active = proof.region.active
     reduced = Potential(design, tuple(i for i in range(design.loop.n) if i not in active))
     bottom = reduced.jet(equilibrium.box[list(active)][None, :]).value.hi[0]
-    return input_level(reduced, proof.region, float(bottom))
+    return input_level(reduced, boxes, proof.region.level, float(bottom))
 
 
 def _limits_claim(design: Design, proof: RegionProof, level_u: float | None) -> Claim:
@@ -148,7 +158,7 @@ def _equilibrium_claim(found: Equilibrium) -> Claim:
 
 
 def _collect(
-    design: Design, claims: tuple[Claim, ...], found: Equilibrium, stability: str | None
+    design: Design, claims: tuple[Claim, ...], found: Equilibrium, stability: Stability | None
 ) -> Certificate:
     return Certificate(
         design_hash=design.hash,

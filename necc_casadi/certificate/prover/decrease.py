@@ -1,10 +1,12 @@
-"""V decreases along the damped loop, by algebra, and z̄ attracts, by a Lyapunov inequality.
+"""V decreases along the damped loop, by algebra (Lemma EnergyCasimirControl).
 
 V̇ = −∇Vᵀ Rcl ∇V / Φ₁ − ∇Vᵀ 𝒢𝒟𝒢ᵀ ∇V ≤ 0 everywhere, given ∇Cᵀ(Jcl − Rcl) = 0, Φ₁ > 0, Rcl ⪰ 0 and
 D, Dc ≻ 0. Each of the four is proved here again from the design's own expressions and numbers.
 """
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 import sympy as sp
@@ -19,15 +21,41 @@ from necc_casadi.symbolic.identifiers import identifiers
 from necc_casadi.symbolic.semidefinite import is_positive_semidefinite
 from necc_casadi.symbolic.zero import is_zero
 
-__all__ = ["casimir_texts", "prove_decrease"]
+__all__ = ["Decrease", "casimir_texts", "prove_decrease"]
 
 
-def prove_decrease(design: Design) -> tuple[Claim, ...]:
-    """The four conditions of V̇ ≤ 0, then V̇ ≤ 0 itself."""
-    conditions = (_casimir(design), _structure(design), _slope(design), _damping(design))
-    missing = [claim.name for claim in conditions if not claim.holds]
-    for_want = f"V is not proved to decrease, for want of: {', '.join(missing)}"
-    return *conditions, Claim("decrease", not missing, for_want if missing else statements.DECREASE)
+@dataclass(frozen=True)
+class Decrease:
+    """The four conditions of V̇ ≤ 0, and V̇ ≤ 0 itself."""
+
+    casimir: Claim
+    structure: Claim
+    slope: Claim
+    damping: Claim
+
+    @property
+    def conditions(self) -> tuple[Claim, ...]:
+        """What V̇ ≤ 0 takes."""
+        return self.casimir, self.structure, self.slope, self.damping
+
+    @property
+    def decrease(self) -> Claim:
+        """V̇ ≤ 0."""
+        missing = [claim.name for claim in self.conditions if not claim.holds]
+        if missing:
+            text = f"V is not proved to decrease, for want of: {', '.join(missing)}"
+            return Claim("decrease", False, text)
+        return Claim("decrease", True, statements.DECREASE)
+
+    @property
+    def claims(self) -> tuple[Claim, ...]:
+        """All of them."""
+        return *self.conditions, self.decrease
+
+
+def prove_decrease(design: Design) -> Decrease:
+    """The four conditions of V̇ ≤ 0, from the design's own expressions and numbers."""
+    return Decrease(_casimir(design), _structure(design), _slope(design), _damping(design))
 
 
 def _casimir(design: Design) -> Claim:

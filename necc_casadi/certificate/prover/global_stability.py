@@ -1,5 +1,7 @@
 """The global certificate: ∇²V ⪰ μI on the whole space, hence one minimum and bounded solutions.
 
+V is then radially unbounded, and LaSalle's principle takes every solution to z̄.
+
 For Φ = H + Hc + C, linear Casimirs and a plant of constant structure, whose energy has a Hessian
 that is periodic or constant in every state. Networks enter by a matrix below their Hessian for
 all arguments.
@@ -29,6 +31,7 @@ from necc_casadi.symbolic.zero import is_zero
 __all__ = ["GlobalStability", "prove_global_stability"]
 
 
+#: Cells of one period of the symbols, in all.
 _CELLS = 4096
 
 

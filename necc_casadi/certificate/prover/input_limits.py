@@ -1,8 +1,9 @@
 """Input limits: the largest level c_u ≤ c at which |u| provably stays within them on Ω.
 
-u = −Gcᵀ∇Hc − D Gᵀ ∂V/∂x (Lemma 1). With s the momenta of H = ½ sᵀA(y)s + U(y) and y the other
-states, V(y, s) ≥ V(y, 0) + ½ δ sᵀAs, so {V ≤ c} holds |wᵀAs|² ≤ 2(c − V(y, 0)) wᵀAw/δ for every w:
-the share of the momenta in u is bounded on each cell of y by the room that is left below c.
+u = −Gcᵀ∇Hc − D Gᵀ ∂V/∂x (Lemma EnergyCasimirControl). With s the momenta of
+H = ½ sᵀA(y)s + U(y) and y the other states, V(y, s) ≥ V(y, 0) + ½ δ sᵀAs, so by Cauchy–Schwarz
+{V ≤ c} holds |wᵀAs|² ≤ 2(c − V(y, 0)) wᵀAw/δ for every w: the share of the momenta in u is bounded
+on each cell of y by the room that is left below c.
 """
 
 from __future__ import annotations
@@ -13,13 +14,10 @@ import numpy as np
 import sympy as sp
 
 from necc_casadi.arrays import Vector
-from necc_casadi.certificate.claims.regions import ChartRegion, EllipsoidRegion, GridRegion, Region
 from necc_casadi.certificate.prover.arithmetic.boxes import matrix_enclosure
 from necc_casadi.certificate.prover.arithmetic.intervals import Interval, concatenate, matmul, point
 from necc_casadi.certificate.prover.arithmetic.networks import network_jet
 from necc_casadi.certificate.prover.arithmetic.potential import Potential
-from necc_casadi.certificate.prover.region.grid import boxes_of
-from necc_casadi.certificate.prover.region.shells import ellipsoid_cells
 
 __all__ = ["input_level"]
 
@@ -32,25 +30,26 @@ _ROUNDS, _WORST = 24, 128
 _EASED = 0.99
 
 
-def input_level(potential: Potential, region: Region, bottom: float) -> float | None:
-    """The largest proved c_u ≤ c above `bottom`, an upper bound of V(z̄); None where there is none.
+def input_level(
+    potential: Potential, cells: Interval, ceiling: float, bottom: float
+) -> float | None:
+    """The largest proved c_u ≤ `ceiling` above `bottom`, an upper bound of V(z̄); or None.
 
-    Where momenta enter u otherwise than through wᵀAs, and for regions in the coordinates (c, ξ),
-    nothing is claimed.
+    `cells` are boxes of y that cover the component, (B, active). Where momenta enter u otherwise
+    than through wᵀAs, nothing is claimed.
     """
-    if isinstance(region, ChartRegion) or not _covered(potential):
+    if not _covered(potential):
         return None
-    cells = _cells(region)
     levels = _levels(potential, cells)
     for _ in range(_ROUNDS):
         worst = np.argsort(levels)[:_WORST]
-        if _eased(levels, bottom) >= region.level:
+        if _eased(levels, bottom) >= ceiling:
             break
         pieces = _halved(cells[worst], cells)
         others = np.setdiff1d(np.arange(len(levels)), worst)
         levels = np.concatenate([levels[others], _levels(potential, pieces)])
         cells = concatenate(cells[others], pieces)
-    level = min(_eased(levels, bottom), region.level)
+    level = min(_eased(levels, bottom), ceiling)
     return level if level > bottom else None
 
 
@@ -69,15 +68,6 @@ def _covered(potential: Potential) -> bool:
     moved = any(A.has(loop.z[i]) for i in driven)
     through_phi = bool(driven) and potential.design.form.phi is not None
     return not (loop.plant.G.has(*s) or moved or through_phi)
-
-
-def _cells(region: GridRegion | EllipsoidRegion) -> Interval:
-    """Boxes of y that cover the component, (B, active)."""
-    if isinstance(region, EllipsoidRegion):
-        parts = (region.center, region.L, region.step)
-        center, L, step = (np.array(v, float) for v in parts)
-        return ellipsoid_cells(center, L, region.radii[-1], step)[0]
-    return boxes_of(region.grid, np.flatnonzero(region.mask.ravel()))
 
 
 def _halved(boxes: Interval, like: Interval) -> Interval:

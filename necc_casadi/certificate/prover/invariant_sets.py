@@ -1,8 +1,8 @@
 """Where the largest invariant set of E = {𝒢ᵀ∇V = 0, Rcl∇V = 0} is the critical points of V.
 
-On E, w = ∇V(z) lies in N(z) = ker [𝒢ᵀ; Rcl](z) and ż = Jcl w/Φ₁. Let S be the momenta of
-:func:`quadratic_states`, H = ½ sᵀA(y)s + U(y) with A ≻ 0, which no Casimir contains, and let
-M ⊂ S be such that for every z in a box that holds Ω and every w in N(z)
+On E, w = ∇V(z) lies in N(z) = ker [𝒢ᵀ; Rcl](z) and ż = Jcl w/Φ₁. Let S be the momenta (see
+momenta.py), H = ½ sᵀA(y)s + U(y) with A ≻ 0, which no Casimir contains, and let M ⊂ S be such
+that for every z in a box that holds Ω and every w in N(z)
 
 (a) wᵢ = 0 for i in M,   (b) (Jcl w)ᵢ = 0 for i not in M,   (c) Jcl w = 0 only for w = 0.
 
@@ -25,7 +25,8 @@ import sympy as sp
 
 from necc_casadi.arrays import Vector
 from necc_casadi.certificate.prover.arithmetic.boxes import matrix_enclosure, subdivide
-from necc_casadi.certificate.prover.arithmetic.intervals import Interval, matmul, point
+from necc_casadi.certificate.prover.arithmetic.definite import regular
+from necc_casadi.certificate.prover.arithmetic.intervals import Interval
 from necc_casadi.designs.design import Design
 from necc_casadi.symbolic.linear_algebra import kernel
 from necc_casadi.symbolic.zero import is_zero
@@ -104,18 +105,8 @@ class _OverBox:
         return all(bool(np.isfinite(v.lo + v.hi).all()) for v in found)
 
     def regular(self, matrix: sp.Matrix) -> bool:
-        """Whether a square matrix is regular on the box: ‖I − CA‖ < 1, C ≈ A⁻¹, cell by cell."""
-        if 0 in matrix.shape:
-            return True
-        A = self._enclosed(matrix)
-        if not np.isfinite(A.lo + A.hi).all():
-            return False
-        try:
-            C = np.asarray(np.linalg.inv(A.mid), float)
-        except np.linalg.LinAlgError:
-            return False
-        rest = matmul(C, A) - np.eye(matrix.rows)
-        return bool((point(rest.magnitude).sum().hi < 1).all())
+        """Whether a square matrix is regular on the box, cell by cell."""
+        return bool(regular(self._enclosed(matrix)).all())
 
     def pivots(self, matrix: sp.Matrix) -> tuple[list[int], list[int]]:
         """Rows and columns of a square block of full rank at the middle: a guess, no proof."""

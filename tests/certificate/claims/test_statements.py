@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 from necc_casadi.casimirs.casimirs import Casimirs
 from necc_casadi.certificate.checker.check import check
 from necc_casadi.certificate.claims import statements
-from necc_casadi.certificate.claims.fields import Fields, read_fields
+from necc_casadi.certificate.claims.fields import read_as
+from necc_casadi.certificate.claims.regions import LimitedBy, read_region
 from necc_casadi.certificate.prover.certify import certify
 from necc_casadi.certificate.prover.region import grid_search as search
 from necc_casadi.cli.certify import _certify
@@ -26,6 +27,7 @@ from necc_casadi.model.plant import make_plant
 
 #: Together longer than the quick suite can afford; CI runs them.
 pytestmark = pytest.mark.slow
+
 
 QUADRATIC = Form(Network(1, (), quadratic=True), Network(1, (), quadratic=True))
 
@@ -140,12 +142,13 @@ def test_a_bolder_region_is_rejected(folder, rejected):
     """More of the domain, another limit, or more about the solutions than is proved."""
     data = content(folder)
     share, limit = data["domain_share"], data["limited_by"]
-    follows = claim(data, "region")["statement"].rpartition(")")[2]
+    follows = claim(data, "region")["data"]["follows"]
     wordings = [(1.2 * share, limit, follows), (share, "nothing", follows)]
-    if follows != statements.CONVERGES:
-        wordings.append((share, limit, statements.CONVERGES))
+    if follows != "converges":
+        wordings.append((share, limit, "converges"))
     for size, reason, after in wordings:
         altered = copy.deepcopy(data)
+        claim(altered, "region")["data"]["follows"] = after
         text = statements.region(data["level"], size, reason, after)
         claim(altered, "region")["statement"] = text
         assert "region" in rejected(altered)
@@ -157,16 +160,37 @@ def test_a_bolder_region_is_rejected(folder, rejected):
     assert "region" in rejected(altered)
 
 
+def reworded(data, follows):
+    """The region's claim with something else about solutions, in data and words."""
+    region = claim(data, "region")
+    region["data"]["follows"] = follows
+    region["statement"] = statements.region(
+        data["level"], data["domain_share"], data["limited_by"], follows
+    )
+
+
+def test_words_about_solutions_that_the_data_do_not_say_are_rejected(folder, rejected):
+    """Neither alone is enough, though the weaker of them is true."""
+    data = content(folder)
+    truth = claim(data, "region")["data"]["follows"]
+    for other in {"converges", "invariant", "stable"} - {truth}:
+        in_words, in_data = copy.deepcopy(data), copy.deepcopy(data)
+        reworded(in_words, other)
+        claim(in_words, "region")["data"]["follows"] = truth
+        claim(in_data, "region")["data"]["follows"] = other
+        assert rejected(in_words) == {"region"}
+        assert rejected(in_data) - {"input_limits"} == {"region"}
+
+
 def test_a_weaker_true_statement_is_accepted(folder, tmp_path, rejected):
     data = content(folder)
-    region = claim(data, "region")
-    before, _, follows = region["statement"].rpartition(")")
-    region["statement"] = f"{before}){statements.INVARIANT}"
-    if follows == statements.CONVERGES:
+    follows = claim(data, "region")["data"]["follows"]
+    reworded(data, "invariant")
+    if follows == "converges":
         (tmp_path / "certificate.json").write_text(json.dumps(data), encoding="utf-8")
         (tmp_path / "design.json").write_bytes((folder / "design.json").read_bytes())
         assert all(result.holds for result in check(tmp_path))
-    elif follows == statements.STABLE:
+    elif follows == "stable":
         assert "region" in rejected(data)
 
 
@@ -204,9 +228,18 @@ def test_a_field_that_nobody_checks_is_rejected(folder, rejected, path):
     assert rejected(data)
 
 
+def test_a_limit_of_no_known_kind_is_unreadable(folder, tmp_path):
+    data = content(folder)
+    claim(data, "region")["data"]["limit"]["kind"] = "else"
+    (tmp_path / "certificate.json").write_text(json.dumps(data), encoding="utf-8")
+    (tmp_path / "design.json").write_bytes((folder / "design.json").read_bytes())
+    assert run(_certify, [str(tmp_path)]) == 2
+
+
 def at_odds(data):
     """Fields that no longer agree with the claims, or with each other."""
-    yield data | {"format": 3}
+    yield data | {"format": 2}
+    yield data | {"format": 4}
     yield data | {"is_global": not data["is_global"]}
     yield data | {"stability": "stable" if data["stability"] == "asymptotic" else "asymptotic"}
     yield data | {"domain_share": data["domain_share"] / 2}
@@ -225,7 +258,6 @@ def other_limits(region):
     """Limits of other kinds, and cells elsewhere."""
     yield {"kind": "method", "at": [0]}
     yield {"kind": "momentum", "at": region["active"][-1:]}
-    yield {"kind": "else", "at": [0 for _ in region["shape"]]}
     yield {"kind": "border", "at": [0 for _ in region["shape"]]}
     middle = [k // 2 for k in region["shape"]]
     yield {"kind": "border", "at": middle}
@@ -236,15 +268,13 @@ def other_limits(region):
 @pytest.mark.slow
 def test_another_limit_is_rejected_even_where_the_words_fit_it(folder, rejected):
     data = content(folder)
-    region, active = data["region"], data["region"]["active"]
+    region = data["region"]
     states = json.loads((folder / "design.json").read_text(encoding="utf-8"))["model"]
     names = states["states"] + states["controller_states"]
-    follows = claim(data, "region")["statement"].rpartition(")")[2]
+    follows = claim(data, "region")["data"]["follows"]
     for other in other_limits(region):
         altered = copy.deepcopy(data)
-        read = statements.Limit.read(other)
-        place = read.place(region["first"], region["step"]) if len(read.at) > 1 else ()
-        reason = statements.limited_by(read, "grid", names, active, place)
+        reason = statements.limited_by(read_as(LimitedBy, other), names, read_region(region))
         altered["limited_by"] = reason
         claim(altered, "region")["data"]["limit"] = other
         claim(altered, "region")["statement"] = statements.region(
@@ -258,12 +288,3 @@ def test_numbers_are_shown_on_the_safe_side(value, digits):
     low, high = (float(f(value, digits)) for f in (statements._down, statements._up))
     assert low <= value <= high
     assert high - low <= 2 * 10.0 ** (1 - digits) * abs(value)
-
-
-def test_an_object_knows_what_was_asked_for():
-    fields = Fields({"a": 1, "b": {"c": 2, "d": 3}, "e": {"f": 4}})
-    assert fields["a"] == 1
-    assert fields["b"]["c"] == 2
-    assert sorted(fields.unread()) == ["b.d", "e"]
-    with pytest.raises(ValueError, match="twice"):
-        read_fields('{"a": 1, "a": 2}')

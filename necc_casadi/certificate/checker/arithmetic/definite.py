@@ -1,16 +1,25 @@
-"""Definiteness and norms of ball matrices, and what exact arithmetic says of binary numbers."""
+"""Definite and regular ball matrices, and what exact arithmetic says of binary numbers."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
 from fractions import Fraction
+from functools import reduce
 from typing import Any
 
 import numpy as np
 from flint import arb, arb_mat
 
-__all__ = ["exactly_positive", "lyapunov_matrix", "middle_of", "norm", "positive"]
+__all__ = [
+    "exactly_positive",
+    "lyapunov_matrix",
+    "middle_of",
+    "norm",
+    "positive",
+    "regular",
+    "solve",
+]
 
 
 #: Of the matrix sign; it converges in about ten.
@@ -52,8 +61,48 @@ def positive(A: arb_mat, mu: float) -> bool:
     )
 
 
+def regular(A: arb_mat) -> bool:
+    """Whether every matrix enclosed is regular: ‖CA − I‖∞ < 1 with C near A⁻¹ (Neumann series)."""
+    return _near_inverse(A) is not None
+
+
+def solve(A: arb_mat, v: Sequence[arb]) -> list[arb] | None:
+    """A⁻¹v for every matrix enclosed; None where A may be singular.
+
+    With C near A⁻¹ and E = CA − I, A⁻¹v = Cv − ECv + E²(I + E)⁻¹Cv.
+    """
+    found = _near_inverse(A)
+    if found is None:
+        return None
+    C, E, excess = found
+    x = C * arb_mat([[t] for t in v])
+    size = reduce(arb.max, (abs(row[0]).upper() for row in x.tolist())).upper()
+    rest = excess * excess / (1 - excess) * size
+    slack = (-rest).union(rest)
+    return [row[0] + slack for row in (x - E * x).tolist()]
+
+
+def _near_inverse(A: arb_mat) -> tuple[arb_mat, arb_mat, arb] | None:
+    """(C, E = CA − I, a bound of ‖E‖∞ below 1) with C ≈ A⁻¹; None where there is none."""
+    middle, n = middle_of(A), A.nrows()
+    if not np.isfinite(middle).all():
+        return None
+    try:
+        C = arb_mat(np.linalg.inv(middle).tolist())
+    except np.linalg.LinAlgError:
+        return None
+    E = C * A
+    for i in range(n):
+        E[i, i] = E[i, i] - 1
+    excess = reduce(arb.max, (sum(map(abs, row), arb(0)).upper() for row in E.tolist())).upper()
+    return (C, E, excess) if excess < 1 else None
+
+
 def lyapunov_matrix(A: np.ndarray[Any, Any]) -> np.ndarray[Any, Any] | None:
     """A guess of P with AᵀP + PA = −I; what it is worth is decided afterwards.
+
+    On purpose not the prover's way to guess one: a P that both find by one method could share
+    its faults, though either is proved to do before it counts.
 
     Newton's iteration for the matrix sign of [[A, 0], [I, −Aᵀ]], which is [[−I, 0], [2P, I]] where
     every eigenvalue of A has a negative real part.

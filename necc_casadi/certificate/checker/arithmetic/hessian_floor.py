@@ -1,4 +1,7 @@
-"""Bounds of a network's Hessian from below for all arguments, in Arb balls."""
+"""Bounds of a network's Hessian from below for all arguments, in Arb balls.
+
+∇aⱼ∇aⱼᵀ ⪯ Σ|αᵢ| Σ|αᵢ| uᵢuᵢᵀ for ∇aⱼ = Σ αᵢuᵢ (Cauchy–Schwarz), as in the prover's file of this name.
+"""
 
 from __future__ import annotations
 

@@ -1,9 +1,13 @@
-"""Networks over boxes in Arb balls: derivatives packed over multi-indices, kept per box."""
+"""Networks over boxes in Arb balls: derivatives packed over multi-indices, kept per box.
+
+Activations by the formula of Faà di Bruno, sharpened by mean-value forms layer by layer.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import cached_property, reduce
 from itertools import accumulate, combinations_with_replacement, pairwise, product
 from operator import mul
@@ -50,38 +54,62 @@ Row = list[arb]
 Derivatives = tuple[arb, list[arb], dict[tuple[int, int], arb]]
 
 
+@dataclass(frozen=True)
+class _Layout:
+    """Where the derivatives stand in the row of a neuron: value, ∇, ∇² and third, packed."""
+
+    keys: list[list[tuple[int, ...]]]  # multi-indices, by order
+    at: list[int]  # where each order begins, and the last ends
+    pairs: list[tuple[int, int]]  # those of ∇²
+    above: list[list[int]]  # of each entry up to ∇², its derivatives one order up
+    triples: list[tuple[int, int, int]]  # those of the third derivative
+    pairs_in: list[tuple[int, int, int]]  # places in ∇² of the pairs in each triple
+
+    @classmethod
+    def of(cls, d: int) -> _Layout:
+        """The layout for d inputs."""
+        keys = [list(combinations_with_replacement(range(d), k)) for k in range(4)]
+        pairs = [(i, j) for i, j in keys[2]]
+        where = {key: n for n, key in enumerate(key for keys_k in keys for key in keys_k)}
+        above = [
+            [where[tuple(sorted((*key, k)))] for k in range(d)]
+            for keys_k in keys[:3]
+            for key in keys_k
+        ]
+        pair = {key: n for n, key in enumerate(pairs)}
+        third = [(i, j, k) for i, j, k in keys[3]]
+        inner = [(pair[i, j], pair[i, k], pair[j, k]) for i, j, k in third]
+        return cls(keys, [0, *accumulate(map(len, keys))], pairs, above, third, inner)
+
+
 class Net:
-    """A network ℝᵈ → ℝ: value, gradient, Hessian and third derivative over a box."""
+    """A network ℝᵈ → ℝ: value, gradient, Hessian and third derivative over a box.
+
+    f(v) = W_L σ(… σ(W₁v + b₁) …) + b_L + Σ ½κᵢ(vᵢ − oᵢ)² + Σ lᵢvᵢ, with `quadratic` = (κ, o) and
+    `linear` = l where it has such parts.
+    """
 
     def __init__(
-        self, layers: list[tuple[arb_mat, arb_mat]], activation: Activation, inputs: int
+        self,
+        layers: list[tuple[arb_mat, arb_mat]],
+        activation: Activation,
+        inputs: int,
+        quadratic: tuple[list[arb], list[arb]] | None = None,
+        linear: list[arb] | None = None,
     ) -> None:
         self.layers, self.activation, self.d = layers, activation, inputs
-        self._layout(inputs)
-        self.quadratic: tuple[list[arb], list[arb]] | None = None
-        self.linear: list[arb] | None = None
+        self.quadratic, self.linear = quadratic, linear
+        self._layout = _Layout.of(inputs)
         rows = layers[0][0].tolist()
         self._powers = [
-            [[reduce(mul, (row[i] for i in key), arb(1)) for key in keys] for keys in self._keys]
+            [
+                [reduce(mul, (row[i] for i in key), arb(1)) for key in keys]
+                for keys in self._layout.keys
+            ]
             for row in rows
         ]
         self.steepest = [max(float(abs(row[i]).upper()) for row in rows) for i in range(inputs)]
         self._known: dict[Box, Derivatives] = {}
-
-    def _layout(self, d: int) -> None:
-        """Where the derivatives stand in the row of a neuron: value, ∇, ∇² and third, packed."""
-        self._keys = [list(combinations_with_replacement(range(d), k)) for k in range(4)]
-        self._at = [0, *accumulate(len(keys) for keys in self._keys)]
-        self._pairs = [(i, j) for i, j in self._keys[2]]
-        where = {key: n for n, key in enumerate(key for keys in self._keys for key in keys)}
-        self._above = [
-            [where[tuple(sorted((*key, k)))] for k in range(d)]
-            for keys in self._keys[:3]
-            for key in keys
-        ]
-        pair = {key: n for n, key in enumerate(self._pairs)}
-        third = [(i, j, k) for i, j, k in self._keys[3]]
-        self._triples = third, [(pair[i, j], pair[i, k], pair[j, k]) for i, j, k in third]
 
     @classmethod
     def from_weights(cls, shape: Mapping[str, Any], weights: Sequence[float]) -> tuple[Net, int]:
@@ -94,12 +122,11 @@ class Net:
             at += rows * columns
             layers.append((arb_mat(W), arb_mat([[arb(b)] for b in weights[at : at + rows]])))
             at += rows
-        net = cls(layers, _ACTIVATIONS[shape["activation"]], shape["inputs"])
+        quadratic, d = None, shape["inputs"]
         if shape["quadratic"]:
-            d = shape["inputs"]
             kappa, center = (list(map(arb, weights[at + k * d : at + (k + 1) * d])) for k in (0, 1))
-            net.quadratic, at = (kappa, center), at + 2 * d
-        return net, at
+            quadratic, at = (kappa, center), at + 2 * d
+        return cls(layers, _ACTIVATIONS[shape["activation"]], d, quadratic), at
 
     @classmethod
     def outer(cls, phi: Mapping[str, Any], weights: Sequence[float]) -> Net:
@@ -109,9 +136,7 @@ class Net:
         first = arb_mat([[x.exp(), y] for x, y in zip(b, d, strict=True)])
         second = arb_mat([[x.exp() for x in a]])
         layers = [(first, arb_mat([[x] for x in f])), (second, arb_mat([[arb(0)]]))]
-        net = cls(layers, _tanh, 2)
-        net.linear = [arb(phi["delta"]), arb(1)]
-        return net
+        return cls(layers, _tanh, 2, linear=[arb(phi["delta"]), arb(1)])
 
     def quadratic_curvature(self) -> arb_mat:
         """Diag κ."""
@@ -230,14 +255,14 @@ class Net:
         return self._unpacked(over[0]), self._unpacked((middle or over)[0])
 
     def _unpacked(self, row: Row) -> Derivatives:
-        value, grad, hess = (row[self._at[k] : self._at[k + 1]] for k in range(3))
-        return value[0], grad, dict(zip(self._pairs, hess, strict=True))
+        value, grad, hess = (row[self._layout.at[k] : self._layout.at[k + 1]] for k in range(3))
+        return value[0], grad, dict(zip(self._layout.pairs, hess, strict=True))
 
     def _affine(self, v: list[arb]) -> Derivatives:
         """A network without hidden layers."""
         W, b = self.layers[0]
         value = (W * arb_mat([[x] for x in v]) + b)[0, 0]
-        return value, W.tolist()[0], {pair: arb(0) for pair in self._pairs}
+        return value, W.tolist()[0], {pair: arb(0) for pair in self._layout.pairs}
 
     def _first(self, v: list[arb], order: int) -> list[Row]:
         """The first layer: k-th derivatives of a neuron are σ⁽ᵏ⁾ times k entries of its row."""
@@ -263,17 +288,18 @@ class Net:
     def _activated(self, row: Row) -> Row:
         """σ of a neuron's argument (Faà di Bruno), to the third order where the row has it."""
         f0, f1, f2, f3 = self.activation(row[0])
-        full = len(row) == self._at[4]
+        layout, full = self._layout, len(row) == self._layout.at[4]
         if self.d == 1:
             g, H = row[1], row[2]
             f2g = f2 * g
             result = [f0, f1 * g, f1 * H + f2g * g]
             return [*result, f1 * row[3] + 3 * f2g * H + f3 * g * g * g] if full else result
-        g, H = row[1 : self._at[2]], row[self._at[2] : self._at[3]]
+        g, H = row[1 : layout.at[2]], row[layout.at[2] : layout.at[3]]
         result = [f0, *(f1 * x for x in g)]
-        result += [f1 * h + f2 * g[i] * g[j] for h, (i, j) in zip(H, self._pairs, strict=True)]
+        result += [f1 * h + f2 * g[i] * g[j] for h, (i, j) in zip(H, layout.pairs, strict=True)]
         if full:
-            for T, (i, j, k), (ij, ik, jk) in zip(row[self._at[3] :], *self._triples, strict=True):
+            third = zip(row[layout.at[3] :], layout.triples, layout.pairs_in, strict=True)
+            for T, (i, j, k), (ij, ik, jk) in third:
                 bent = H[ij] * g[k] + H[ik] * g[j] + H[jk] * g[i]
                 result.append(f1 * T + f2 * bent + f3 * g[i] * g[j] * g[k])
         return result
@@ -281,12 +307,12 @@ class Net:
     def _centred(self, over: Row, middle: Row, step: list[arb]) -> Row:
         """Each derivative by its mean-value form as well, from the derivatives one order up."""
         result = []
-        for naive, center, above in zip(over, middle, self._above, strict=False):
+        for naive, center, above in zip(over, middle, self._layout.above, strict=False):
             bound = center
             for n, s in zip(above, step, strict=True):
                 bound = bound + over[n] * s
             result.append(meet(naive, bound))
-        return result + over[self._at[3] :]
+        return result + over[self._layout.at[3] :]
 
 
 def _middle(box: Box) -> Box:

@@ -1,4 +1,6 @@
-"""V, ∇V and ∇²V over boxes in Arb balls, from expressions that are differentiated symbolically.
+"""V = Φ(H + Hc, C) (eq. casimir_parameterization), ∇V and ∇²V over boxes in Arb balls.
+
+Closed forms are differentiated symbolically, networks by their own derivatives.
 
 Results are kept per box, since neighbouring cells ask for the same ones.
 """
@@ -49,22 +51,15 @@ class Energy:
         self._tables = [
             self._derivatives(sp.sympify(f).subs(at_rest)) for f in (energy, *model.casimirs)
         ]
-        self._nets()
+        (self.hc, self.k, *self.betas), left = _nets(model)
+        phi = model.form["phi"]
+        self.phi = None if phi is None else Net.outer(phi, left)
 
     def _derivatives(self, f: sp.Expr) -> tuple[_Term, list[_Term], list[list[_Term]]]:
         v = self.variables
         grad = [sp.diff(f, s) for s in v]
         hess = [[_Term(sp.diff(g, s), v) for s in v] for g in grad]
         return _Term(f, v), [_Term(g, v) for g in grad], hess
-
-    def _nets(self) -> None:
-        form, at, nets = self.model.form, 0, []
-        for shape in (form["hc"], form["k"], *form["betas"]):
-            net, used = Net.from_weights(shape, self.model.weights[at:])
-            nets.append(net)
-            at += used
-        self.hc, self.k, *self.betas = nets
-        self.phi = None if form["phi"] is None else Net.outer(form["phi"], self.model.weights[at:])
 
     def value(self, box: Box) -> arb:
         """V over a box, by the mean-value form."""
@@ -250,6 +245,16 @@ class Energy:
             return arb(1)
         e, _, C, _ = self._energy_and_casimir(box)
         return self.phi((ends(e), ends(C)))[1][0]
+
+
+def _nets(model: StoredDesign) -> tuple[list[Net], list[float]]:
+    """Hc, K and the βᵢ, and the weights that are left, those of Φ."""
+    nets, left = [], model.weights
+    for shape in (model.form["hc"], model.form["k"], *model.form["betas"]):
+        net, used = Net.from_weights(shape, left)
+        nets.append(net)
+        left = left[used:]
+    return nets, left
 
 
 def hessian_hull(energy: Energy, box: Box) -> arb_mat:

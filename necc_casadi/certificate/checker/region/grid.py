@@ -1,13 +1,13 @@
-"""A region on a grid: V > c around the marked cells, and no critical point but z̄ in them."""
+"""A region on a grid: V > c around the marked cells, and no critical point but z̄ in them.
+
+The component of {V ≤ c} around z̄ is connected, so it stays within cells on whose outer faces V > c.
+"""
 
 from __future__ import annotations
 
-import base64
 import itertools
 import math
-import zlib
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 from flint import arb, arb_mat
@@ -15,8 +15,9 @@ from flint import arb, arb_mat
 from necc_casadi.certificate.checker.arithmetic.balls import Box, by_bisection
 from necc_casadi.certificate.checker.arithmetic.definite import middle_of, positive
 from necc_casadi.certificate.checker.arithmetic.potential import Energy
-from necc_casadi.certificate.checker.evidence import Evidence
+from necc_casadi.certificate.checker.evidence import Evidence, Obligation
 from necc_casadi.certificate.checker.region.sizes import sides_of, sizes_hold
+from necc_casadi.certificate.claims.regions import GridRegion, LimitedBy
 
 __all__ = ["GridProof"]
 
@@ -32,20 +33,12 @@ _BESIDE = 3
 class GridProof:
     """Cells [kh, (k+1)h]: V > c around the marked ones, no critical point but z̄ in them."""
 
-    def __init__(
-        self, checker: Evidence, energy: Energy, region: Mapping[str, Any], z_bar: Box
-    ) -> None:
-        self.checker, self.energy, self.z_bar = checker, energy, z_bar
-        self.level = float(region["level"])
-        self.first, self.shape = ([int(v) for v in region[key]] for key in ("first", "shape"))
-        self.step = [float(v) for v in region["step"]]
-        self.low, self.high = ([int(v) for v in ends] for ends in region["core"])
-        bits = np.frombuffer(zlib.decompress(base64.b64decode(region["cells"])), dtype=np.uint8)
-        count = math.prod(self.shape)
-        self.cells = {
-            tuple(int(v) for v in np.unravel_index(i, self.shape))
-            for i in np.flatnonzero(np.unpackbits(bits, count=count))
-        }
+    def __init__(self, evidence: Evidence, energy: Energy, region: GridRegion, z_bar: Box) -> None:
+        self.model, self.energy, self.region, self.z_bar = evidence.model, energy, region, z_bar
+        self.level, self.step = region.level, region.step
+        self.first, self.shape = region.first, region.shape
+        self.low, self.high = region.convex_block
+        self.cells = {tuple(map(int, index)) for index in np.argwhere(region.mask)}
 
     def box(self, cell: Sequence[int]) -> Box:
         """The cell in the active states."""
@@ -64,20 +57,29 @@ class GridProof:
                        for f in (min, max))  # fmt: skip
         return tuple((a[0], b[1]) for a, b in zip(self.box(lows), self.box(highs), strict=True))
 
-    def holds(self, data: Mapping[str, Any], share: float) -> bool:
-        """Whether the region and the size that is claimed of it are proved again."""
-        return (
-            all(math.frexp(h)[0] == 0.5 for h in self.step)
-            and self._in_domain()
-            and self._core()
-            and all(self._regular(cell) and self._enclosed(cell) for cell in self.cells)
-            and sizes_hold(self._sizes(), data, share)
-        )
+    def obligations(self, sizes: Mapping[str, float], share: float) -> list[Obligation]:
+        """Cells, the convex block around z̄, ∇V ≠ 0 and V > c around, and the sizes."""
+        return [
+            ("the cells are exact", lambda: all(math.frexp(h)[0] == 0.5 for h in self.step)),
+            ("the cells lie in the domain", self._in_domain),
+            ("∇²V ≻ 0 on the cells around z̄", self._convex),
+            ("no other cell holds a critical point", lambda: all(map(self._regular, self.cells))),
+            ("V > c around the cells", lambda: all(map(self._enclosed, self.cells))),
+            ("the sizes claimed", lambda: sizes_hold(self._sizes(), sizes, share)),
+        ]
 
-    def touches(self, cell: tuple[int, ...], border: bool) -> bool:
+    def ends_at(self, limit: LimitedBy) -> bool:
+        """Whether the region reaches a cell that is as the limit says."""
+        if not limit.names_a_cell:
+            return False
+        border = limit.kind != "critical"
+        named = not border or self._at_domain(limit.at) == (limit.kind == "border")
+        return named and self._touches(limit.at, border)
+
+    def _touches(self, cell: tuple[int, ...], border: bool) -> bool:
         """Whether the region reaches a cell of the border, or one that may hold a critical point.
 
-        Beside the core such a cell would be part of it.
+        Beside the convex block such a cell would be part of it.
         """
         pairs = list(zip(cell, self.shape, strict=True))
         reach = range(-_BESIDE, _BESIDE + 1)
@@ -90,8 +92,8 @@ class GridProof:
         if border:
             return any(k in (0, n - 1) for k, n in pairs)
         sides = zip(self.low, cell, self.high, strict=True)
-        at_core = all(a <= k + 1 and k - 1 <= b for a, k, b in sides)
-        return not at_core and not by_bisection(
+        at_block = all(a <= k + 1 and k - 1 <= b for a, k, b in sides)
+        return not at_block and not by_bisection(
             self.box(cell), lambda b: self._decided(b) or self._falls(b), _NEAR
         )
 
@@ -102,25 +104,16 @@ class GridProof:
             bool(g > 0) or bool(g < 0) for g in gradient
         )
 
-    def at_domain(self, cell: Sequence[int]) -> bool:
+    def _at_domain(self, cell: Sequence[int]) -> bool:
         """Whether the domain ends at a cell or at the one beside it."""
-        bounds = self.checker.model.bounds()
-        pairs = zip(self.energy.active, self.box(cell), self.step, strict=True)
-        return any(
-            not bool(bounds[i][0] <= lo - h) or not bool(hi + h <= bounds[i][1])
-            for i, (lo, hi), h in pairs
-        )
+        around = [(lo - h, hi + h) for (lo, hi), h in zip(self.box(cell), self.step, strict=True)]
+        return not self.model.in_domain(self.region.active, around)
 
     def _in_domain(self) -> bool:
-        bounds = self.checker.model.bounds()
-        return all(
-            bool(bounds[i][0] <= f * h) and bool((f + n) * h <= bounds[i][1])
-            for i, f, n, h in zip(
-                self.energy.active, self.first, self.shape, self.step, strict=True
-            )
-        )
+        parts = zip(self.first, self.shape, self.step, strict=True)
+        return self.model.in_domain(self.region.active, [(f * h, (f + n) * h) for f, n, h in parts])
 
-    def _core(self) -> bool:
+    def _convex(self) -> bool:
         """z̄ is inside a block of cells on which V is convex, and in a marked cell."""
         block = [range(a, b + 1) for a, b in zip(self.low, self.high, strict=True)]
         lo, hi = self.box(self.low), self.box(self.high)
@@ -186,7 +179,7 @@ class GridProof:
 
     def _sizes(self) -> dict[str, arb]:
         """Volume, shares and reach of the cells that are wholly in {V ≤ c}; see the claim."""
-        active, model = self.energy.active, self.checker.model
+        active, model = self.region.active, self.model
         n = self.energy.d - model.nc  # of the plant's axes
         inside = {c for c in self.cells if self._below(self.box(c))}
         volume = len(inside) * self._cell(range(self.energy.d))
@@ -220,7 +213,7 @@ class GridProof:
 
     def _slice(self, n: int) -> set[tuple[int, ...]]:
         """Cells of the plant's axes on which V ≤ c at ξ = ξ*, which lies in the component."""
-        at = [(v, v) for v in self.checker.model.xi_star]
+        at = [(v, v) for v in self.model.xi_star]
         return {
             cell[:n]
             for cell in self.cells

@@ -1,37 +1,35 @@
-"""The region around z̄ in the domain, and where in it the inputs stay within their limits."""
+"""The region around z̄ in the domain, proved again, and what follows for solutions from it.
+
+With V̇ ≤ 0, a compact component of {V ≤ c} is invariant; LaSalle's principle takes its solutions to
+the largest invariant set where V̇ = 0, which is z̄ where that set holds critical points only.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable
+from functools import cache, partial
+from typing import Any
 
 from flint import arb
 
 from necc_casadi.certificate.checker.arithmetic.balls import Box, ends
-from necc_casadi.certificate.checker.evidence import Checked, Evidence
+from necc_casadi.certificate.checker.arithmetic.potential import Energy
+from necc_casadi.certificate.checker.evidence import Checked, Evidence, Obligation
 from necc_casadi.certificate.checker.invariant_sets import (
     largest_invariant_set_is_critical,
     loop_is_defined,
 )
 from necc_casadi.certificate.checker.model import StoredDesign
-from necc_casadi.certificate.checker.momenta import at_rest, momentum_inside
+from necc_casadi.certificate.checker.momenta import are_momenta, momentum_inside
 from necc_casadi.certificate.checker.region.chart import ChartProof
 from necc_casadi.certificate.checker.region.ellipsoid import EllipsoidProof
 from necc_casadi.certificate.checker.region.grid import GridProof
+from necc_casadi.certificate.checker.region.proof import RegionProof
 from necc_casadi.certificate.claims import statements
-from necc_casadi.certificate.claims.fields import Fields
-from necc_casadi.certificate.claims.regions import LimitedBy
+from necc_casadi.certificate.claims.fields import read_as
+from necc_casadi.certificate.claims.regions import Follows, LimitedBy, Method, RegionClaim
 
-__all__ = ["_PROOFS", "check_region"]
-
-
-_PROOFS: dict[str, type[GridProof] | type[EllipsoidProof] | type[ChartProof]] = {
-    "grid": GridProof,
-    "core": EllipsoidProof,
-    "chart": ChartProof,
-}
-
-
-_SIZES = ("volume", "domain_share", "slice_share", "plant_share")
+__all__ = ["check_region", "region_proof"]
 
 
 #: A momentum limits c where it could leave the domain this much higher above V(z̄): the maker may
@@ -39,86 +37,108 @@ _SIZES = ("volume", "domain_share", "slice_share", "plant_share")
 _HIGHER = 6.0
 
 
-def check_region(evidence: Evidence, sound: bool) -> Checked:
+_PROOFS: dict[Method, Callable[[Evidence, Energy, Any, Box], RegionProof]] = {
+    "grid": GridProof,
+    "ellipsoid": EllipsoidProof,
+    "chart": ChartProof,
+}
+
+
+#: Entries of the claim that are no sizes.
+_NO_SIZES = {"limit", "follows"}
+
+
+def region_proof(evidence: Evidence) -> RegionProof | None:
+    """The proof of the region that is claimed; None where none is."""
+    region = evidence.certificate.region
+    if region is None:
+        return None
+    energy, z_bar = evidence.reduced(region.active), evidence.z_bar(region.active)
+    return _PROOFS[region.method](evidence, energy, region, z_bar)
+
+
+def check_region(evidence: Evidence, proof: RegionProof | None, sound: bool) -> Checked:
     """The component of {V ≤ c} around z̄ lies in the domain, and only z̄ is critical in it."""
-    region, model = evidence.certificate["region"], evidence.model
-    if region is None or not sound or not evidence.claimed("region"):
-        return Checked("region", False, "no region is proved")
-    level, active = float(region["level"]), [int(i) for i in region["active"]]
-    resting = [i for i in range(len(model.z)) if i not in active]
-    data, share = evidence.claims["region"]["data"], evidence.certificate["domain_share"]
-    energy, z_bar = evidence.reduced(active), evidence.z_bar(active)
-    bottom = energy.value(z_bar)
-    limit = LimitedBy.read(data["limit"])
-    holds = level == evidence.certificate["level"] and bool(bottom < level)
-    holds = holds and at_rest(model, resting)
-    holds = holds and all(
-        momentum_inside(model, i, resting, active, level, bottom) for i in resting
+    share, said = evidence.certificate.domain_share, evidence.certificate.limited_by
+    claimed = proof is not None and share is not None and evidence.claimed("region")
+    if proof is None or share is None or not (claimed and sound):
+        missing = "the stability of z̄" if claimed else "that one is claimed"
+        return Checked("region", False, f"no region is proved, for want of {missing}")
+    region, data, states = proof.region, evidence.claims["region"].data, evidence.model.states
+    limit, follows = read_as(LimitedBy, data["limit"]), data["follows"]
+    sizes = {key: float(data[key]) for key in data if key not in _NO_SIZES}
+    bottom = proof.energy.value(evidence.z_bar(region.active))
+    surroundings = cache(partial(_surroundings, evidence.model, proof))
+    text = f"a component of {{V ≤ {region.level:.6g}}} around z̄ in the domain, as it is described"
+    checked = Checked.by(
+        "region",
+        text,
+        [
+            ("the level is that of the region", lambda: region.level == evidence.certificate.level),
+            ("V(z̄) < c", lambda: bool(bottom < region.level)),
+            *_momenta_stay(evidence.model, region, bottom),
+            *proof.obligations(sizes, share),
+            ("the loop has no pole there", lambda: loop_is_defined(evidence.model, surroundings())),
+            ("it ends where it is said to", lambda: _stops(evidence.model, proof, limit, bottom)),
+            _solutions(evidence, region, follows, surroundings),
+        ],
     )
-    proof = _PROOFS[region["method"]](evidence, energy, region, z_bar)
-    holds = holds and _only_sizes(evidence, region, data) and proof.holds(data, share)
-    holds = holds and loop_is_defined(model, _surroundings(model, active, proof))
-    if not (holds and _stops(evidence, proof, limit, bottom)):
-        text = f"a component of {{V ≤ {level:.6g}}} around z̄ in the domain, as it is described"
-        return Checked("region", False, text)
-    place: Sequence[float] = ()
-    if isinstance(proof, GridProof) and limit.names_a_cell:
-        place = limit.place(proof.first, proof.step)
-    reason = statements.limited_by(limit, region["method"], model.states, active, place)
-    texts = [
-        statements.region(level, float(share), reason, follows)
-        for follows in _consequences(evidence, resting, _surroundings(model, active, proof))
+    if not checked.holds:
+        return checked
+    reason = statements.limited_by(limit, states, region)
+    statement = statements.region(region.level, share, reason, follows)
+    limited = (f"it is limited by {reason}", lambda: said == reason)
+    return Checked.by("region", statement, [limited])
+
+
+def _momenta_stay(model: StoredDesign, region: RegionClaim, bottom: arb) -> list[Obligation]:
+    """½ δ sᵀA(y)s ≤ c − V(z̄) keeps the momenta in the domain."""
+    active, level = region.active, region.level
+    resting = [i for i in range(len(model.z)) if i not in active]
+    inside = partial(
+        momentum_inside, model, resting=resting, active=active, level=level, bottom=bottom
+    )
+    return [
+        ("the resting states are momenta", lambda: are_momenta(model, resting)),
+        *((f"{model.states[i]} stays in the domain", partial(inside, i=i)) for i in resting),
     ]
-    said = evidence.claims["region"]["statement"]
-    holds = evidence.certificate["limited_by"] == reason
-    return Checked("region", holds, said if said in texts else texts[0])
 
 
-def _only_sizes(evidence: Evidence, region: Fields, data: Fields) -> bool:
-    """Whether no size of the region is claimed but those that its proof looks at."""
-    reach = {f"reach_{evidence.model.states[int(i)]}" for i in region["active"]}
-    return set(data) <= {"limit", *_SIZES} | reach
+def _solutions(
+    evidence: Evidence, region: RegionClaim, follows: Follows, surroundings: Callable[[], Box]
+) -> Obligation:
+    """What follows for solutions from the region: of two truths the weaker may be claimed."""
+    attracts = evidence.certificate.stability == "asymptotic"
+    resting = [i for i in range(len(evidence.model.z)) if i not in region.active]
+
+    def every() -> bool:
+        return largest_invariant_set_is_critical(evidence.model, resting, surroundings())
+
+    obligations: dict[Follows, Obligation] = {
+        "converges": ("every solution from Ω converges to z̄", lambda: attracts and every()),
+        "invariant": ("z̄ is locally asymptotically stable", lambda: attracts),
+        "stable": ("no more than stability is proved of z̄", lambda: not attracts),
+    }
+    return obligations[follows]
 
 
-def _consequences(evidence: Evidence, resting: Sequence[int], box: Box) -> list[str]:
-    """What follows for solutions from the region, the most first."""
-    if evidence.certificate["stability"] != "asymptotic":
-        return [statements.STABLE]
-    if largest_invariant_set_is_critical(evidence.model, resting, box):
-        return [statements.CONVERGES, statements.INVARIANT]
-    return [statements.INVARIANT]
-
-
-def _stops(
-    evidence: Evidence,
-    proof: GridProof | EllipsoidProof | ChartProof,
-    limit: LimitedBy,
-    bottom: arb,
-) -> bool:
+def _stops(model: StoredDesign, proof: RegionProof, limit: LimitedBy, bottom: arb) -> bool:
     """Whether the region ends where it is said to: at the border, a momentum, a critical point."""
-    energy, model = proof.energy, evidence.model
     if limit.kind == "method":
         return not limit.at
-    if limit.kind == "momentum":
-        base = float(bottom.mid())
-        level = base + _HIGHER * (proof.level - base)
-        resting = [i for i in range(model.n) if i not in energy.active]
-        return all(i in resting for i in limit.at) and not all(
-            momentum_inside(model, i, resting, energy.active, level, bottom) for i in limit.at
-        )
-    if not (isinstance(proof, GridProof) and limit.names_a_cell):
-        return False
-    border = limit.kind != "critical"
-    named = not border or proof.at_domain(limit.at) == (limit.kind == "border")
-    return named and proof.touches(limit.at, border)
+    if limit.kind != "momentum":
+        return proof.ends_at(limit)
+    active, base = proof.region.active, float(bottom.mid())
+    level = base + _HIGHER * (proof.region.level - base)
+    resting = [i for i in range(model.n) if i not in active]
+    return all(i in resting for i in limit.at) and not all(
+        momentum_inside(model, i, resting, active, level, bottom) for i in limit.at
+    )
 
 
-def _surroundings(
-    model: StoredDesign, active: Sequence[int], proof: GridProof | EllipsoidProof | ChartProof
-) -> Box:
+def _surroundings(model: StoredDesign, proof: RegionProof) -> Box:
     """A box of all states that holds the region; resting states are in the domain."""
-    box = [(ends(lo)[0], ends(hi)[1]) for lo, hi in model.bounds()]
-    hull = proof.hull()
-    for i, side in zip(active, hull, strict=True):
+    box = [(ends(lo)[0], ends(hi)[1]) for lo, hi in model.bounds]
+    for i, side in zip(proof.region.active, proof.hull(), strict=True):
         box[i] = side
     return tuple(box)

@@ -1,17 +1,18 @@
-"""Transport along the Casimirs, proved again: boxes that the plant's states cannot leave."""
+"""Transport along the Casimirs, proved again: boxes that the plant's states cannot leave.
+
+Picard–Lindelöf: where q₀ + [0, h]·A(Q)B⁻¹v ⊂ Q, the solution that starts in q₀ stays in Q.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import reduce
 from itertools import pairwise, product
 
-import numpy as np
 from flint import arb, arb_mat
 
 from necc_casadi.certificate.checker.arithmetic.balls import ball, times
-from necc_casadi.certificate.checker.arithmetic.definite import middle_of, norm
+from necc_casadi.certificate.checker.arithmetic.definite import norm, solve
 from necc_casadi.certificate.checker.arithmetic.tapes import Tape
 
 __all__ = ["Transport"]
@@ -22,6 +23,7 @@ __all__ = ["Transport"]
 _CONES, _CUTS, _PIECES = 4, 3, 3
 
 
+#: Tries of Picard's condition.
 _PICARD = 6
 
 
@@ -69,7 +71,7 @@ class Transport:
         for (inner, outer), begin in zip(pairwise(self.radii), self.starts, strict=True):
             s = (inner / shortest).union(outer / shortest)
             place = [c + d * s for c, d in zip(self.xi_bar, direction, strict=True)]
-            turned = _turned(self.across(place), direction)
+            turned = solve(arb_mat(len(direction), len(direction), self.across(place)), direction)
             width = (outer - inner) / shortest
             origin = [b + m for b, m in zip(begin, moved, strict=True)]
             step = None if turned is None else _step(self.along, self.cut, origin, turned, width)
@@ -95,28 +97,6 @@ def _cube(d: int) -> list[Balls]:
 def _halves(x: arb) -> Balls:
     middle = arb(x.mid())
     return [x.lower().union(middle), middle.union(x.upper())]
-
-
-def _turned(across: Balls, v: Balls) -> Balls | None:
-    """B(ξ)⁻¹v; None where B may be singular.
-
-    With N near B⁻¹ and E = NB − I, B⁻¹v = Nv − ENv + E²(I + E)⁻¹Nv.
-    """
-    n = len(v)
-    B = arb_mat(n, n, across)
-    middle = middle_of(B)
-    if not np.isfinite(middle).all() or abs(np.linalg.det(middle)) < 1e-12:
-        return None
-    N = arb_mat(np.linalg.inv(middle).tolist())
-    E = N * B - arb_mat(n, n, [int(i == j) for i in range(n) for j in range(n)])
-    rows = E.tolist()
-    excess = reduce(arb.max, (sum(map(abs, row), arb(0)).upper() for row in rows)).upper()
-    if not excess < 1:
-        return None
-    x = N * arb_mat([[t] for t in v])
-    size = reduce(arb.max, (abs(row[0]).upper() for row in x.tolist())).upper()
-    slack = ball(-1.0, 1.0) * (excess * excess / (1 - excess) * size)
-    return [row[0] + slack for row in (x - E * x).tolist()]
 
 
 def _step(

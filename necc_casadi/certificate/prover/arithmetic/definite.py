@@ -1,4 +1,4 @@
-"""Definiteness of interval matrices, and exact definiteness of binary numbers."""
+"""Definite and regular interval matrices, and exact definiteness of binary numbers."""
 
 from __future__ import annotations
 
@@ -8,7 +8,19 @@ from flint import fmpq, fmpq_mat
 from necc_casadi.arrays import Truth, Vector
 from necc_casadi.certificate.prover.arithmetic.intervals import Interval, matmul, point
 
-__all__ = ["exactly_positive_definite", "lowest_eigenvalue", "norm", "positive_definite"]
+__all__ = [
+    "exactly_positive_definite",
+    "inverse",
+    "lowest_eigenvalue",
+    "norm",
+    "positive_definite",
+    "regular",
+    "solve",
+]
+
+
+#: More than the roundings of a few operations on doubles, as a share.
+_ROUND = 1e-12
 
 
 def positive_definite(A: Interval, mu: Vector | float = 0.0) -> Truth:
@@ -42,6 +54,49 @@ def _spectrum(matrices: Vector) -> tuple[Vector, Vector, Truth]:
     safe = np.where(usable[..., None, None], matrices, np.eye(matrices.shape[-1]))
     values, vectors = np.linalg.eigh((safe + np.swapaxes(safe, -1, -2)) / 2)
     return values, vectors, usable
+
+
+def regular(A: Interval) -> Truth:
+    """Whether every matrix in the enclosures (B, n, n) is regular, (B,) of bool.
+
+    By the Neumann series: ‖CA − I‖∞ < 1 for a C near A⁻¹.
+    """
+    if A.shape[-1] == 0:
+        return np.ones(A.shape[:-2], dtype=bool)
+    return np.asarray(_near_inverse(A)[2] < 1)
+
+
+def solve(A: Interval, v: Interval) -> Interval:
+    """Enclosures of A⁻¹v, (B, n, k); not finite where A (B, n, n) is not proved regular.
+
+    With C near A⁻¹ and E = CA − I, A⁻¹v = Cv − ECv + E²(I + E)⁻¹Cv.
+    """
+    C, E, excess = _near_inverse(A)
+    x = matmul(point(C), v)
+    rest = excess**2 / (1 - excess) * (1 + _ROUND)
+    slack = rest[:, None] * x.magnitude.max(1)
+    slack = np.where((excess < 1)[:, None], slack, np.inf)[:, None, :]
+    return x - matmul(E, x) + Interval(-slack, slack)
+
+
+def inverse(A: Vector) -> Interval:
+    """A⁻¹ of a matrix of doubles (n, n)."""
+    return solve(point(A[None]), point(np.eye(len(A))[None]))[0]
+
+
+def _near_inverse(A: Interval) -> tuple[Vector, Interval, Vector]:
+    """(C, E = CA − I, a bound of ‖E‖∞, ∞ where it is not known) with C ≈ A⁻¹."""
+    size = A.shape[-1]
+    finite: Truth = np.asarray(np.isfinite(A.lo + A.hi).all((-1, -2)))
+    middle = np.where(finite[..., None, None], A.mid, np.eye(size))
+    try:
+        C = np.asarray(np.linalg.inv(middle), float)
+    except np.linalg.LinAlgError:  # one of them is singular; its pseudoinverse proves nothing
+        C = np.asarray(np.linalg.pinv(middle), float)
+    with np.errstate(all="ignore"):
+        E = matmul(point(C), A) - np.eye(size)
+        excess = point(E.magnitude).sum().hi.max(-1)
+    return C, E, np.where(finite & np.isfinite(excess), excess, np.inf)
 
 
 def norm(v: Interval) -> Vector:

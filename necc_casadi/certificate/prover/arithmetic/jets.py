@@ -1,4 +1,7 @@
-"""Second-order jets over boxes: value, gradient and Hessian of smooth functions as intervals."""
+"""Second-order jets over boxes: value, gradient and Hessian of smooth functions as intervals.
+
+By the chain and product rules (forward mode), sharpened by mean-value forms.
+"""
 
 from __future__ import annotations
 
@@ -239,7 +242,8 @@ def _power_slopes(
     return power(0), enclosure * power(1), enclosure * (enclosure - 1.0) * power(2)
 
 
-def _sin(v: Interval) -> tuple[Interval, Interval, Interval]:
+def sin_slopes(v: Interval) -> tuple[Interval, Interval, Interval]:
+    """(sin, cos, −sin)."""
     s = v.sin()
     return s, v.cos(), -s
 
@@ -255,8 +259,11 @@ def _tan(v: Interval) -> tuple[Interval, Interval, Interval]:
     return t, slope, 2.0 * t * slope
 
 
-def _tanh(v: Interval) -> tuple[Interval, Interval, Interval]:
-    """The bend −2t(1 − t²) is least at t = 1/√3 and greatest at −1/√3, monotone in between."""
+def tanh_slopes(v: Interval) -> tuple[Interval, Interval, Interval]:
+    """(tanh, 1 − t², −2t(1 − t²)) with t = tanh v.
+
+    The bend −2t(1 − t²) is least at t = 1/√3 and greatest at −1/√3, monotone in between.
+    """
     t = v.tanh()
     slope = 1.0 - t.square()
     ends = [2.0 * (end * (end * end - 1.0)) for end in (t.lo, t.hi)]
@@ -321,12 +328,9 @@ def _atanh(v: Interval) -> tuple[Interval, Interval, Interval]:
 
 #: (f, f′, f″) of every function of :data:`necc_casadi.symbolic.expressions.FUNCTIONS`.
 _SLOPES: dict[type[sp.Basic], Slopes] = {
-    sp.sin: _sin, sp.cos: _cos, sp.tan: _tan,
+    sp.sin: sin_slopes, sp.cos: _cos, sp.tan: _tan,
     sp.asin: _asin, sp.acos: _acos, sp.atan: _atan,
-    sp.sinh: _sinh, sp.cosh: _cosh, sp.tanh: _tanh,
+    sp.sinh: _sinh, sp.cosh: _cosh, sp.tanh: tanh_slopes,
     sp.asinh: _asinh, sp.acosh: _acosh, sp.atanh: _atanh,
     sp.exp: _exp, sp.log: _log,
 }  # fmt: skip
-
-
-tanh_slopes, sin_slopes = _tanh, _sin

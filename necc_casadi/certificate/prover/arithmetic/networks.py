@@ -1,4 +1,7 @@
-"""Networks over boxes: derivatives up to the third, so that mean-value forms sharpen the second."""
+"""Networks over boxes: derivatives up to the third, so that mean-value forms sharpen the second.
+
+Activations by the formula of Faà di Bruno.
+"""
 
 from __future__ import annotations
 

@@ -1,9 +1,9 @@
-"""Enclosures of V = Φ(H + Hc, C), ∇V and ∇²V over boxes: expressions, networks, composition."""
+"""Enclosures of V = Φ(H + Hc, C) (eq. casimir_parameterization), ∇V and ∇²V over boxes."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property, reduce
 from itertools import product
 
@@ -46,11 +46,11 @@ class Potential:
     design: Design
     resting: tuple[int, ...] = ()  # plant states that are held at 0; no Casimir depends on them
     added: sp.Expr = sp.S.Zero  # to H, a function of the active states
-    active: tuple[int, ...] = field(init=False)  # the others, in the order of z
 
-    def __post_init__(self) -> None:
-        states = range(self.design.loop.n)
-        object.__setattr__(self, "active", tuple(i for i in states if i not in self.resting))
+    @cached_property
+    def active(self) -> tuple[int, ...]:
+        """The states that do not rest, in the order of z."""
+        return tuple(i for i in range(self.design.loop.n) if i not in self.resting)
 
     @cached_property
     def energy(self) -> sp.Expr:

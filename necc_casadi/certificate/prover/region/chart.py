@@ -21,7 +21,7 @@ import numpy as np
 import sympy as sp
 
 from necc_casadi.arrays import Vector
-from necc_casadi.certificate.claims.regions import ChartRegion, Rows
+from necc_casadi.certificate.claims.regions import ChartRegion, numbers, rows
 from necc_casadi.certificate.prover.arithmetic.boxes import subdivide
 from necc_casadi.certificate.prover.arithmetic.intervals import Interval, point
 from necc_casadi.certificate.prover.arithmetic.jets import constant
@@ -31,7 +31,7 @@ from necc_casadi.certificate.prover.region.shells import Shells, half_axes, shel
 from necc_casadi.certificate.prover.region.sizes import ball_volume
 from necc_casadi.certificate.prover.region.transport import Transport, values_on
 
-__all__ = ["Chart", "widest_chart"]
+__all__ = ["Chart", "ChartExtent", "widest_chart"]
 
 
 #: Shells of |η| on the way from the fibre.
@@ -58,6 +58,7 @@ _COARSE, _PIECES = 3, 24
 _SLACK = (0.002, 0.01, 0.03, 0.1, 0.3)
 
 
+#: Room for the checker's arithmetic in a level and in radii.
 _EASE = 1e-6
 
 
@@ -72,6 +73,27 @@ def widest_chart(
     with np.errstate(all="ignore"):
         chart = Chart.at(potential, center, lo, hi)
         return None if chart is None else chart.widest(ceiling)
+
+
+@dataclass(frozen=True, eq=False)
+class ChartExtent:
+    """Where a region in the coordinates (c, ξ) is: q somewhere in the domain."""
+
+    region: ChartRegion
+    domain: Interval  # (d,)
+
+    def hull(self) -> Interval:
+        """A box (d,) that holds it: q in the domain, |η| ≤ b."""
+        r, (lo, hi) = len(self.region.middle), (self.domain.lo.copy(), self.domain.hi.copy())
+        half = half_axes(np.array(self.region.scale_h).T, self.region.b)
+        xi_bar = np.array(self.region.center[r:])
+        lo[r:] = np.nextafter(xi_bar - half, -np.inf)
+        hi[r:] = np.nextafter(xi_bar + half, np.inf)
+        return Interval(lo, hi)
+
+    def boxes(self) -> None:
+        """No smaller boxes are known."""
+        return
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,11 +187,11 @@ class Chart:
         if Q is None:
             return None
         region = ChartRegion(
-            level, self.potential.active, _numbers(self.center), _numbers(self.fold.middle),
-            _rows(self.fold.scale), _rows(self.transport.scale),
-            _numbers(self.k.radii), _numbers(self.k.nu),
-            _numbers(self.hc.radii), _numbers(self.hc.nu), max(self.k.above, self.hc.above),
-            a, b, _rows(np.stack([fibre.box.lo, fibre.box.hi], -1)),
+            level, self.potential.active, numbers(self.center), numbers(self.fold.middle),
+            rows(self.fold.scale), rows(self.transport.scale),
+            numbers(self.k.radii), numbers(self.k.nu),
+            numbers(self.hc.radii), numbers(self.hc.nu), max(self.k.above, self.hc.above),
+            a, b, rows(np.stack([fibre.box.lo, fibre.box.hi], -1)),
         )  # fmt: skip
         return region, fibre, Q
 
@@ -263,11 +285,3 @@ def _scales(hess: Vector, slopes: Vector) -> tuple[Vector, Vector] | None:
     except np.linalg.LinAlgError:
         return None
     return A_K, A_H
-
-
-def _numbers(v: Vector) -> tuple[float, ...]:
-    return tuple(map(float, v))
-
-
-def _rows(A: Vector) -> Rows:
-    return tuple(_numbers(row) for row in A)

@@ -13,30 +13,33 @@ from dataclasses import dataclass
 import numpy as np
 
 from necc_casadi.arrays import Vector
+from necc_casadi.certificate.claims.regions import EllipsoidRegion, numbers, rows
 from necc_casadi.certificate.prover.arithmetic.intervals import Interval, point
 from necc_casadi.certificate.prover.arithmetic.potential import Potential
 from necc_casadi.certificate.prover.region.shells import (
-    climb,
+    Curved,
+    Shells,
+    cell_sides,
     corners,
     ellipsoid_cells,
     half_axes,
     lower_curvature,
+    shells,
 )
 
-__all__ = ["Ellipsoid", "corners", "widest_ellipsoid"]
+__all__ = ["Ellipsoid", "widest_ellipsoid"]
 
 
 #: Half-axes that are tried, as shares of the largest ellipsoid in the domain.
 _SCALES = (1.0, 0.7, 0.5, 0.35, 0.25, 0.15, 0.1, 0.05, 0.02, 0.01, 5e-3, 2e-3, 1e-3)
 
 
+#: Shells of V.
 _SHELLS = 16
 
 
 #: Cells per axis of the box around the ellipsoid, by dimension, about.
 _PARTS = {2: 64, 3: 24, 4: 14, 5: 8}
-
-
 _FEWEST_PARTS = 4
 
 
@@ -44,22 +47,47 @@ _FEWEST_PARTS = 4
 _MOST_CELLS = 300_000
 
 
+#: Shares of the height and of V(ȳ) that are given up, so that other arithmetic can confirm c.
+_EASED, _ROUND = 1e-9, 1e-12
+
+
 @dataclass(frozen=True, eq=False)
 class Ellipsoid:
-    """Shells |e| ≤ radii with ∇²V ⪰ νP, checked on cells of the box around the ellipsoid."""
+    """Shells ‖Lᵀe‖ ≤ radii with ∇²V ⪰ νP, checked on cells of the box around the ellipsoid."""
 
     center: Vector  # ȳ (d,)
     L: Vector  # d × d, lower triangular; P = LLᵀ
-    radii: Vector  # (shells,), outer radius of each
-    nu: Vector  # (shells,)
     step: Vector  # (d,), sides of the cells, powers of two
-    level: float  # c
-    above: float  # ∇²V ⪯ above·P there
+    shells: Shells
+
+    @property
+    def level(self) -> float:
+        """c, which V exceeds on the boundary of the ellipsoid."""
+        bottom, height = float(self.shells.bottom.lo), self.shells.height
+        return bottom + height - _EASED * height - _ROUND * abs(bottom)
 
     @property
     def radius(self) -> float:
         """ρ."""
-        return float(self.radii[-1])
+        return float(self.shells.radii[-1])
+
+    def boxes(self) -> Interval:
+        """Cells that cover the ellipsoid, (B, d)."""
+        return ellipsoid_cells(self.center, self.L, self.radius, self.step)[0]
+
+    def hull(self) -> Interval:
+        """The box around the ellipsoid, (d,)."""
+        half = half_axes(self.L, self.radius)
+        lo, hi = self.center - half, self.center + half
+        return Interval(np.nextafter(lo, -np.inf), np.nextafter(hi, np.inf))
+
+    def region(self, level: float, active: tuple[int, ...]) -> EllipsoidRegion:
+        """What it claims of a level, at most its own."""
+        shells = self.shells
+        return EllipsoidRegion(
+            level, active, numbers(self.center), rows(self.L), numbers(shells.radii),
+            numbers(shells.nu), numbers(self.step), shells.above,
+        )  # fmt: skip
 
 
 def widest_ellipsoid(
@@ -73,7 +101,7 @@ def widest_ellipsoid(
     widest = float(np.min(np.minimum(hi - center, center - lo) / half_axes(L, 1.0)))
     best: Ellipsoid | None = None
     for scale in _SCALES:
-        found = _shells(potential, center, L, scale * widest * (1 - 1e-9))
+        found = _ellipsoid(potential, center, L, scale * widest * (1 - 1e-9))
         if found is not None and (best is None or found.level > best.level):
             best = found
         elif best is not None:
@@ -81,25 +109,15 @@ def widest_ellipsoid(
     return best
 
 
-def _shells(potential: Potential, center: Vector, L: Vector, radius: float) -> Ellipsoid | None:
-    """Shells of one ellipsoid, cut where the slope along rays is no longer positive."""
-    parts = _PARTS.get(center.size, _FEWEST_PARTS)
-    step = np.asarray(np.exp2(np.round(np.log2(2 * half_axes(L, radius) / parts))), float)
+def _ellipsoid(potential: Potential, center: Vector, L: Vector, radius: float) -> Ellipsoid | None:
+    """Shells of one ellipsoid; None where V is not proved convex at its centre."""
+    step = cell_sides(L.T, radius, _PARTS.get(center.size, _FEWEST_PARTS))
     central = Interval(center - step / 2, center + step / 2)[None, :]
     if not lower_curvature(potential.lower_hessian(central), L)[0] > 0:
         return None
     first, last = corners(center, L, radius, step)
     if np.prod(last - first + 1.0) > _MOST_CELLS:
         return None
-    cells, lowest, highest = ellipsoid_cells(center, L, radius, step)
-    nu_cell = lower_curvature(potential.lower_hessian(cells), L)
-    outer = radius * np.arange(1, _SHELLS + 1) / _SHELLS
-    inner = np.concatenate([[0.0], outer[:-1]])
-    meets = (lowest[:, None] <= outer) & (highest[:, None] >= inner)
-    nu = np.where(meets, nu_cell[:, None], np.inf).min(0)
-    level, count = climb(potential, center, L, outer, nu)
-    if count == 0:
-        return None
-    inside = cells[lowest <= outer[count - 1]]
-    above = -float(lower_curvature(-potential.jet(inside).hess, L).min())
-    return Ellipsoid(center, L, outer[:count], nu[:count], step, level, above)
+    V = Curved(potential.jet, potential.lower_hessian)
+    found = shells(V, center, L.T, radius, step, _SHELLS, 0.0)
+    return Ellipsoid(center, L, step, found) if found.radii.size else None

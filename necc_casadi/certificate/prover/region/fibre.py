@@ -1,4 +1,7 @@
-"""The fibre ξ = ξ̄: where α = A_K(c(q, ξ̄) − c̄) is small, it has no fold, and what it covers."""
+"""The fibre ξ = ξ̄: where α = A_K(c(q, ξ̄) − c̄) is small, it has no fold, and what it covers.
+
+Where ∂α/∂q is regular, α is one-to-one nearby (inverse function theorem).
+"""
 
 from __future__ import annotations
 
@@ -10,6 +13,7 @@ import sympy as sp
 
 from necc_casadi.arrays import Indices, Truth, Vector
 from necc_casadi.certificate.prover.arithmetic.boxes import subdivide
+from necc_casadi.certificate.prover.arithmetic.definite import regular
 from necc_casadi.certificate.prover.arithmetic.intervals import Interval, matmul, point
 from necc_casadi.certificate.prover.region.grid import dilated
 from necc_casadi.certificate.prover.region.transport import values_on
@@ -21,6 +25,7 @@ __all__ = ["Fibre", "FibreChart"]
 _CELLS, _FEWEST = {1: 512, 2: 64, 3: 16}, 5
 
 
+#: More than the roundings of a few operations on doubles, and room for the checker's other ones.
 _ROUND, _EASE = 1e-12, 1e-6
 
 
@@ -79,11 +84,11 @@ class FibreChart:
         if not (inside and self._bounds(point(q_bar[None]))[1][0] <= a):
             return None
         cells = subdivide(box, parts)
-        least, most, regular = self._bounds(cells)
+        least, most, unfolded = self._bounds(cells)
         index = np.stack(np.unravel_index(np.arange(parts**r), (parts,) * r), -1)
         border = ((index == 0) | (index == parts - 1)).any(1)
         near = least <= a * (1 + _EASE)  # so that other arithmetic can confirm it
-        if (near & (border | ~regular)).any() or not near.any():
+        if (near & (border | ~unfolded)).any() or not near.any():
             return None
         kept = np.flatnonzero(near)
         return Fibre(box, q_bar, (parts,) * r, kept, cells[kept], least[kept], most[kept])
@@ -105,11 +110,7 @@ class FibreChart:
         by_side = ((alpha * unit).sum() - (point(along) * half).sum().hi).lo
         least = np.maximum(np.sqrt(by_box) * (1 - _ROUND), by_side)
         most = np.sqrt(point(alpha.magnitude + spread).square().sum().hi) * (1 + _ROUND)
-        guess = np.where(finite[:, None, None], G.mid, np.eye(r)) + 1e-14 * np.eye(r)
-        near = np.asarray(np.linalg.pinv(guess), float)
-        excess = (matmul(point(near), G) - np.eye(r)).magnitude
-        regular = finite & (point(excess).sum().hi.max(-1) < 1)
-        return np.where(finite, least, -np.inf), np.where(finite, most, np.inf), regular
+        return np.where(finite, least, -np.inf), np.where(finite, most, np.inf), regular(G)
 
     def _values(self, expressions: list[sp.Expr], q: Interval) -> Interval:
         """Expressions at (q, ξ̄), boxes first."""

@@ -15,19 +15,20 @@ from itertools import product
 import numpy as np
 
 from necc_casadi.arrays import Indices, Truth, Vector
-from necc_casadi.certificate.claims.regions import Grid
+from necc_casadi.certificate.claims.regions import Block, Grid
 from necc_casadi.certificate.prover.arithmetic.definite import positive_definite
 from necc_casadi.certificate.prover.arithmetic.intervals import Interval, matmul, point
 from necc_casadi.certificate.prover.arithmetic.jets import Jet
 from necc_casadi.certificate.prover.arithmetic.potential import Potential
 
-__all__ = ["Flood", "boundary", "dilated", "flood", "make_grid", "spread"]
+__all__ = ["Flood", "boundary", "boxes_of", "cells_met", "dilated", "flood", "make_grid", "spread"]
 
 
 #: Pieces per axis into which a cell that limits the region is cut.
 _PIECES = {1: 16, 2: 8, 3: 4}  # powers of two: cut exactly
 
 
+#: Rounds in which the cells that limit the region are cut.
 _ROUNDS = 3
 
 
@@ -69,7 +70,7 @@ class Flood:
     level: float  # c, just below what limits it
     levels: Vector  # grid.shape, the level at which each cell is reached
     upper: Vector  # grid.shape, upper bound of V on each cell
-    core: tuple[tuple[int, ...], tuple[int, ...]]  # block of cells, ends included, with ∇²V ≻ 0
+    convex_block: Block  # of cells around z̄ with ∇²V ≻ 0
     limiting: int  # flat index of the cell that limits c
     at_boundary: bool
 
@@ -91,15 +92,14 @@ def flood(potential: Potential, grid: Grid, z_bar: Interval) -> Flood | None:
         jet = potential.jet(boxes)
         low = _finite_lower(jet)
         open_cells = ~_excludes_zero(potential, boxes, jet)
-        core = _core(grid, open_cells.reshape(grid.shape), start)
+        near = _undecided_block(grid, open_cells.reshape(grid.shape), start)
         for room in (_ROOM, 0):  # cells beside z̄'s are hard to settle in other arithmetic
-            wide = _widened(grid, core, room)
-            block = np.flatnonzero(_block(grid, wide))
+            wide = _widened(grid, near, room)
+            block = np.flatnonzero(_marked(grid, wide))
             if positive_definite(potential.lower_hessian(boxes_of(grid, block))).all():
                 break
         else:
             return None
-        core = wide
         open_cells[block] = False
         faces = _faces(potential, grid)
         limit = np.minimum(faces, np.where(open_cells, low, np.inf))
@@ -111,7 +111,7 @@ def flood(potential: Potential, grid: Grid, z_bar: Interval) -> Flood | None:
             limit[worst] = np.minimum(faces[worst], _refined(potential, grid, worst))
         level, levels, at = spread(grid, low, limit, start)
     return Flood(
-        level, levels, jet.value.hi.reshape(grid.shape), core, at, bool(faces[at] <= limit[at])
+        level, levels, jet.value.hi.reshape(grid.shape), wide, at, bool(faces[at] <= limit[at])
     )
 
 
@@ -141,7 +141,7 @@ def _finite_lower(jet: Jet) -> Vector:
     return np.where(np.isfinite(jet.value.lo), jet.value.lo, -np.inf)
 
 
-def _core(grid: Grid, undecided: Truth, start: Indices) -> tuple[tuple[int, ...], tuple[int, ...]]:
+def _undecided_block(grid: Grid, undecided: Truth, start: Indices) -> Block:
     """The block around the undecided cells that touch z̄'s."""
     near = np.zeros(grid.shape, dtype=bool)
     near.ravel()[start] = True
@@ -154,11 +154,9 @@ def _core(grid: Grid, undecided: Truth, start: Indices) -> tuple[tuple[int, ...]
     return tuple(map(int, index.min(0))), tuple(map(int, index.max(0)))
 
 
-def _widened(
-    grid: Grid, core: tuple[tuple[int, ...], tuple[int, ...]], room: int
-) -> tuple[tuple[int, ...], tuple[int, ...]]:
+def _widened(grid: Grid, block: Block, room: int) -> Block:
     """The block with `room` more cells on every side, as far as the grid goes."""
-    low, high = core
+    low, high = block
     last = (n - 1 for n in grid.shape)
     return (
         tuple(max(0, k - room) for k in low),
@@ -177,9 +175,9 @@ def dilated(mask: Truth) -> Truth:
     return result
 
 
-def _block(grid: Grid, core: tuple[tuple[int, ...], tuple[int, ...]]) -> Truth:
+def _marked(grid: Grid, block: Block) -> Truth:
     mask = np.zeros(grid.shape, dtype=bool)
-    mask[tuple(slice(a, b + 1) for a, b in zip(*core, strict=True))] = True
+    mask[tuple(slice(a, b + 1) for a, b in zip(*block, strict=True))] = True
     return mask
 
 

@@ -29,7 +29,7 @@ from necc_casadi.certificate.prover.region.grid import (
 __all__ = ["GRID_CELLS", "ProvedGrid", "widest_grid"]
 
 
-#: Cells of the grid, by dimension; more dimensions are the business of the convex core.
+#: Cells of the grid, by dimension; more dimensions are the business of the ellipsoid.
 GRID_CELLS = {1: 4096, 2: 128**2, 3: 40**3}
 
 
@@ -49,6 +49,7 @@ _HEIGHTS = (1.0, 0.5, 0.25, 0.1, 0.03, 0.01, 1e-3)
 _WORTH = 0.5
 
 
+#: Boxes that are tried in pursuit of a component.
 _ROUNDS = 12
 
 
@@ -82,6 +83,15 @@ class ProvedGrid:
     def inside(self) -> Truth:
         """The cells that are wholly in it."""
         return np.asarray(self.mask & (self.flood.upper <= self.level))
+
+    def boxes(self) -> Interval:
+        """The cells of the component, (B, d)."""
+        return boxes_of(self.grid, np.flatnonzero(self.mask.ravel()))
+
+    def hull(self) -> Interval:
+        """The box around them, (d,)."""
+        boxes = self.boxes()
+        return Interval(boxes.lo.min(0), boxes.hi.max(0))
 
     @property
     def volume(self) -> float:

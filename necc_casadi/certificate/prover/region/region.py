@@ -1,7 +1,8 @@
 """The region certificate: the component Ω of {V ≤ c} around z̄ lies in the domain, and what follows.
 
-With y the states that are not momenta of :func:`find_momenta`, Ω is over the component of
-{V(y, 0) ≤ c}; there the momenta satisfy ½ δ tᵢ sᵢ² ≤ c − V(z̄), which keeps them in the domain.
+With y the states that are not momenta (see momenta.py), Ω is over the component of {V(y, 0) ≤ c};
+there the momenta satisfy ½ δ tᵢ sᵢ² ≤ c − V(z̄), which keeps them in the domain. By V̇ ≤ 0 such a
+compact component is invariant, and LaSalle's principle says where its solutions go.
 """
 
 from __future__ import annotations
@@ -11,17 +12,17 @@ import math
 import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
 from necc_casadi.arrays import Truth
 from necc_casadi.certificate.claims.regions import (
-    ChartRegion,
-    EllipsoidRegion,
     Grid,
     GridRegion,
+    Kind,
     LimitedBy,
-    Region,
+    RegionClaim,
 )
 from necc_casadi.certificate.claims.statements import limited_by
 from necc_casadi.certificate.prover.arithmetic.intervals import Interval
@@ -29,11 +30,10 @@ from necc_casadi.certificate.prover.arithmetic.potential import Potential
 from necc_casadi.certificate.prover.equilibrium import Equilibrium
 from necc_casadi.certificate.prover.invariant_sets import loop_is_defined
 from necc_casadi.certificate.prover.momenta import momentum_ceiling
-from necc_casadi.certificate.prover.region.chart import widest_chart
+from necc_casadi.certificate.prover.region.chart import ChartExtent, widest_chart
 from necc_casadi.certificate.prover.region.ellipsoid import widest_ellipsoid
 from necc_casadi.certificate.prover.region.grid import Flood, boxes_of
 from necc_casadi.certificate.prover.region.grid_search import GRID_CELLS, widest_grid
-from necc_casadi.certificate.prover.region.shells import half_axes
 from necc_casadi.certificate.prover.region.sizes import ellipsoid_sizes, grid_sizes
 from necc_casadi.designs.design import Design
 from necc_casadi.model.domain import Domain
@@ -45,41 +45,49 @@ __all__ = ["RegionProof", "prove_region", "surroundings"]
 _BESIDE = 3
 
 
+class Extent(Protocol):
+    """Where a region is, in the active states."""
+
+    def hull(self) -> Interval:
+        """A box (d,) that holds it."""
+        ...
+
+    def boxes(self) -> Interval | None:
+        """Small boxes (B, d) that cover it; None where there are none."""
+        ...
+
+
 @dataclass(frozen=True, eq=False)
 class RegionProof:
     """A region, what limits it, and what it covers; `region` is None where nothing is proved."""
 
-    region: Region | None
+    region: RegionClaim | None
     limit: LimitedBy | None  # None where nothing that could be named stopped the search
     shares: Mapping[str, float]
+    extent: Extent | None
 
     def limited_by(self, states: Sequence[str]) -> str:
         """What limits the region, in words."""
         if self.limit is None:
             return "no neighbourhood of z̄ is proved free of other critical points"
-        region = self.region
-        if isinstance(region, GridRegion) and self.limit.names_a_cell:
-            place = self.limit.place(region.first, region.step)
-            return limited_by(self.limit, region.method, states, region.active, place)
-        return limited_by(self.limit, "" if region is None else region.method, states)
+        return limited_by(self.limit, states, self.region)
+
+    def boxes(self) -> Interval | None:
+        """Small boxes of the active states that cover the region; None where there are none."""
+        return None if self.extent is None else self.extent.boxes()
 
 
-def surroundings(design: Design, region: Region) -> Interval:
+def _unproved(limit: LimitedBy | None) -> RegionProof:
+    return RegionProof(None, limit, {}, None)
+
+
+def surroundings(design: Design, proof: RegionProof) -> Interval | None:
     """A box of all states (N,) that holds Ω: the momenta are in the domain."""
-    domain, y = design.domain, list(region.active)
+    if proof.region is None or proof.extent is None:
+        return None
+    domain, y, hull = design.domain, list(proof.region.active), proof.extent.hull()
     lo, hi = domain.lo.copy(), domain.hi.copy()
-    if isinstance(region, GridRegion):
-        boxes = boxes_of(region.grid, np.flatnonzero(region.mask.ravel()))
-        lo[y], hi[y] = boxes.lo.min(0), boxes.hi.max(0)
-        return Interval(lo, hi)
-    center = np.array(region.center)
-    if isinstance(region, ChartRegion):  # q is somewhere in the domain
-        r = len(region.middle)
-        y, center = y[r:], center[r:]
-        half = half_axes(np.array(region.scale_h).T, region.b)
-    else:
-        half = half_axes(np.array(region.L), region.radii[-1])
-    lo[y], hi[y] = np.nextafter(center - half, -np.inf), np.nextafter(center + half, np.inf)
+    lo[y], hi[y] = hull.lo, hull.hi
     return Interval(lo, hi)
 
 
@@ -93,7 +101,7 @@ def prove_region(potential: Potential, equilibrium: Equilibrium) -> RegionProof:
     bottom = reduced.jet(z_bar[None, :]).value
     ceiling, state = momentum_ceiling(design, resting, domain, float(bottom.lo[0]))
     if not ceiling > bottom.hi[0]:
-        return RegionProof(None, LimitedBy("momentum", (state,)), {})
+        return _unproved(LimitedBy("momentum", (state,)))
     limit = (ceiling, LimitedBy("momentum", (state,)))
     inner = domain.of(reduced.active)
     proof = None
@@ -103,10 +111,10 @@ def prove_region(potential: Potential, equilibrium: Equilibrium) -> RegionProof:
         proof = _in_chart(reduced, inner, z_bar, limit)
     if proof is None:
         proof = _in_ellipsoid(reduced, inner, z_bar, limit)
-    if proof is None or proof.region is None:
-        return RegionProof(None, None, {})
-    defined = loop_is_defined(design, surroundings(design, proof.region))
-    return proof if defined else RegionProof(None, LimitedBy("undefined"), {})
+    around = None if proof is None else surroundings(design, proof)
+    if proof is None or around is None:
+        return _unproved(None)
+    return proof if loop_is_defined(design, around) else _unproved(LimitedBy("undefined"))
 
 
 def _on_grid(
@@ -122,11 +130,11 @@ def _on_grid(
     if stopped.kind == "method" and _touches(found.mask, at):
         stopped = LimitedBy(_kind(grid, cells, domain), at)
     region = GridRegion(
-        found.level, potential.active, grid.first, grid.shape, grid.step, cells.core,
+        found.level, potential.active, grid.first, grid.shape, grid.step, cells.convex_block,
         _packed(found.mask),
     )  # fmt: skip
     box = Interval(domain.lo, domain.hi)
-    return RegionProof(region, stopped, grid_sizes(potential, found, box, z_bar))
+    return RegionProof(region, stopped, grid_sizes(potential, found, box, z_bar), found)
 
 
 def _touches(mask: Truth, cell: tuple[int, ...]) -> bool:
@@ -146,7 +154,8 @@ def _in_chart(
         return None
     region, sizes = found
     stopped = limit[1] if region.level >= (1 - 1e-4) * limit[0] else LimitedBy("method")
-    return RegionProof(region, stopped, sizes)
+    extent = ChartExtent(region, Interval(domain.lo, domain.hi))
+    return RegionProof(region, stopped, sizes, extent)
 
 
 def _in_ellipsoid(
@@ -154,30 +163,23 @@ def _in_ellipsoid(
 ) -> RegionProof | None:
     """The region in an ellipsoid around z̄, with a lower bound of its volume and half-widths."""
     with np.errstate(all="ignore"):
-        core = widest_ellipsoid(potential, z_bar.mid, domain.lo, domain.hi)
-    if core is None:
+        found = widest_ellipsoid(potential, z_bar.mid, domain.lo, domain.hi)
+    if found is None:
         return None
-    level, stopped = min(limit, (core.level, LimitedBy("method")))
+    level = min(limit[0], found.level)
+    stopped = limit[1] if limit[0] < found.level else LimitedBy("method")
     height = level - float(potential.jet(z_bar[None, :]).value.hi[0])
     if not height > 0:
         return None
-    region = EllipsoidRegion(
-        level,
-        potential.active,
-        tuple(map(float, core.center)),
-        tuple(tuple(map(float, row)) for row in core.L),
-        tuple(map(float, core.radii)),
-        tuple(map(float, core.nu)),
-        tuple(map(float, core.step)),
-        core.above,
-    )
-    # ½ above |e|² ≤ 0.999 height is part of Ω
-    radius = min(math.sqrt(2 * 0.999 * height / core.above), core.radius)
+    region = found.region(level, potential.active)
+    # ½ above |e|² ≤ 0.999 height is part of Ω: the rest is for the other arithmetic
+    radius = min(math.sqrt(2 * 0.999 * height / region.above), found.radius)
     box = Interval(domain.lo, domain.hi)
-    return RegionProof(region, stopped, ellipsoid_sizes(potential, core.L, radius, box, z_bar))
+    sizes = ellipsoid_sizes(potential, found.L, radius, box, z_bar)
+    return RegionProof(region, stopped, sizes, found)
 
 
-def _kind(grid: Grid, found: Flood, domain: Domain) -> str:
+def _kind(grid: Grid, found: Flood, domain: Domain) -> Kind:
     """What stops the level of a flood: the domain, a smaller grid's end, or a critical point."""
     if not found.at_boundary:
         return "critical"

@@ -1,14 +1,15 @@
-"""How a network rises around a point: f ≥ f(v̄) + k(ρ) where |A(v − v̄)| = ρ, by shells.
+"""How a function rises around a point: f ≥ f(v̄) + k(ρ) where |A(v − v̄)| = ρ, by shells.
 
 With ∇²f ⪰ ν(ρ)AᵀA on the shells of the ellipsoid |A(v − v̄)| ≤ size, the slope of f along every ray
-from v̄ is at least s(ρ) = ∫₀^ρ ν less the tiny slope at v̄, and k(ρ) = ∫₀^ρ s. Shells end where s is
-no longer positive: inside, f has no other critical point.
+from v̄ is at least s(ρ) = ∫₀^ρ ν less the tiny slope at v̄, and k(ρ) = ∫₀^ρ s (Taylor's formula along
+the ray). Shells end where s is no longer positive: inside, f has no other critical point. Used for
+a network, and for V with A = Lᵀ, P = LLᵀ.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -18,16 +19,19 @@ import numpy.typing as npt
 from necc_casadi.arrays import Truth, Vector
 from necc_casadi.certificate.prover.arithmetic.definite import norm, positive_definite
 from necc_casadi.certificate.prover.arithmetic.intervals import Interval, matmul, point
-from necc_casadi.certificate.prover.arithmetic.potential import Potential, over_pieces
+from necc_casadi.certificate.prover.arithmetic.jets import Jet
+from necc_casadi.certificate.prover.arithmetic.potential import over_pieces
 from necc_casadi.lyapunov.networks import Network
 
 __all__ = [
+    "Curved",
     "Shells",
-    "climb",
+    "cell_sides",
     "corners",
     "ellipsoid_cells",
     "half_axes",
     "lower_curvature",
+    "shells",
     "shells_of_network",
 ]
 
@@ -36,6 +40,7 @@ __all__ = [
 _SLACK = (0.01, 0.03, 0.1, 0.3, 1.0, 3.0)
 
 
+#: Shells of a network.
 _SHELLS = 8
 
 
@@ -45,13 +50,15 @@ _ROOM = 0.02
 
 #: Cells per axis of the box around the ellipsoid, by dimension.
 _PARTS = {1: 128, 2: 32, 3: 14}
-
-
 _FEWEST_PARTS = 6
 
 
 #: Bounds leave this much room, so that other arithmetic can confirm them.
 _EASE = 1e-6
+
+
+#: Keeps a slope that is 0 in doubles from counting as exact.
+_TINY = 1e-15
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,7 +93,7 @@ class Shells:
         for inner, width, slope, start, nu in self._pieces():
             step = min(width, rho - inner)
             if step > 0:
-                total = max(total, start + step * (slope + nu * step / 2) - 1e-15)
+                total = max(total, start + step * (slope + nu * step / 2) - _TINY)
         return total
 
     @property
@@ -104,27 +111,55 @@ class Shells:
             slope += float(nu) * width
 
 
+@dataclass(frozen=True, eq=False)
+class Curved:
+    """A function over boxes: its jet, and matrices below its Hessian, which may be sharper."""
+
+    jet: Callable[[Interval], Jet]
+    below: Callable[[Interval], Interval]
+
+
+def cell_sides(A: Vector, size: float, parts: int) -> Vector:
+    """Sides of about `parts` cells per axis of the box around |A·| ≤ size, powers of two, (d,)."""
+    return np.asarray(np.exp2(np.round(np.log2(2 * half_axes(A.T, size) / parts))), float)
+
+
+def shells(
+    f: Curved, middle: Vector, A: Vector, size: float, step: Vector, count: int, room: float
+) -> Shells:
+    """`count` shells around `middle` up to `size`, less those from where f may fall on.
+
+    ν stays below, and `above` above, what is proved by `room`.
+    """
+    at = f.jet(point(middle[None]))
+    slope = norm(matmul(np.asarray(np.linalg.inv(A).T, float), at.grad[0][:, None])[:, 0])
+    steepest = float(slope) * (1 + _EASE) + _TINY
+    cells, lowest, highest = ellipsoid_cells(middle, A.T, size, step)
+    curvature = lower_curvature(f.below(cells), A.T)
+    outer = size * np.arange(1, count + 1) / count
+    inner = np.concatenate([[0.0], outer[:-1]])
+    meets = (lowest[:, None] <= outer) & (highest[:, None] >= inner)
+    nu = np.where(meets, curvature[:, None], np.inf).min(0) - room
+    rising = np.cumsum(nu * (outer - inner)) - steepest > 0
+    kept = count if rising.all() else int(np.argmax(~rising))
+    above = math.inf
+    if kept:
+        inside = cells[lowest <= outer[kept - 1]]
+        above = room - float(lower_curvature(-f.jet(inside).hess, A.T).min())
+    return Shells(at.value[0], steepest, outer[:kept], nu[:kept], above)
+
+
 def shells_of_network(
     network: Network, weights: Vector, middle: Vector, A: Vector, size: float
 ) -> Shells:
     """Shells around `middle` up to `size`; none where f is not convex there."""
-    at = over_pieces(network, weights, point(middle[None]))
-    slope = norm(matmul(np.asarray(np.linalg.inv(A).T, float), at.grad[0][:, None])[:, 0])
-    steepest = float(slope) * (1 + _EASE) + 1e-15
-    parts = _PARTS.get(len(A), _FEWEST_PARTS)
-    step = np.asarray(np.exp2(np.round(np.log2(2 * half_axes(A.T, size) / parts))), float)
-    cells, lowest, highest = ellipsoid_cells(middle, A.T, size, step)
-    hess = over_pieces(network, weights, cells).hess
-    curvature = lower_curvature(hess, A.T)
-    outer = size * np.arange(1, _SHELLS + 1) / _SHELLS
-    inner = np.concatenate([[0.0], outer[:-1]])
-    meets = (lowest[:, None] <= outer) & (highest[:, None] >= inner)
-    nu = np.where(meets, curvature[:, None], np.inf).min(0) - _ROOM
-    ends = np.cumsum(nu * (outer - inner)) - steepest
-    count = int(np.argmax(~(ends > 0))) if not (ends > 0).all() else _SHELLS
-    kept = lowest <= (outer[count - 1] if count else 0.0)
-    above = _ROOM - float(lower_curvature(-hess[kept], A.T).min()) if count else math.inf
-    return Shells(at.value[0], steepest, outer[:count], nu[:count], above)
+
+    def jet(boxes: Interval) -> Jet:
+        return over_pieces(network, weights, boxes)
+
+    step = cell_sides(A, size, _PARTS.get(len(A), _FEWEST_PARTS))
+    curved = Curved(jet, lambda boxes: jet(boxes).hess)
+    return shells(curved, middle, A, size, step, _SHELLS, _ROOM)
 
 
 def half_axes(L: Vector, radius: float) -> Vector:
@@ -175,26 +210,6 @@ def lower_curvature(hess: Interval, L: Vector) -> Vector:
 
 def _swapped(v: Interval) -> Interval:
     return Interval(np.swapaxes(v.lo, -1, -2), np.swapaxes(v.hi, -1, -2))
-
-
-def climb(
-    potential: Potential, center: Vector, L: Vector, radii: Vector, nu: Vector
-) -> tuple[float, int]:
-    """(c, shells): integrate ν twice along rays, as long as the slope stays positive."""
-    at = potential.jet(point(center[None]))
-    whitener = np.asarray(np.linalg.inv(L), float)
-    start = matmul(whitener, at.grad[0][:, None])
-    slope = -(1 + 1e-6) * float(np.sqrt((start.magnitude**2).sum()))  # at ȳ, steepest
-    bottom, inner, count = float(at.value.lo[0]), 0.0, 0
-    rise = result = 0.0
-    for outer, curvature in zip(radii, nu, strict=True):
-        width = float(outer) - inner
-        end = slope + curvature * width
-        if not end > 0:
-            break
-        rise += width * (slope + end) / 2
-        slope, inner, count, result = end, float(outer), count + 1, rise
-    return bottom + result - 1e-9 * result - 1e-12 * (1 + abs(bottom)), count
 
 
 def corners(

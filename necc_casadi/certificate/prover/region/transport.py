@@ -2,7 +2,8 @@
 
 By the Casimir condition c is constant along dq = A(q)B(ξ)⁻¹dξ, with A and B the rows for q and ξ of
 the columns of Jcl − Rcl that belong to the momenta. Ways ξ̄ + sA_H⁻¹v start in every direction v of
-a cube; cone by cone and step by step in s, boxes are found that q cannot leave (Picard).
+a cube; cone by cone and step by step in s, boxes are found that q cannot leave: where
+q₀ + [0, h]·A(Q)B⁻¹v ⊂ Q, the solution that starts in q₀ stays in Q (Picard–Lindelöf).
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ import sympy as sp
 
 from necc_casadi.arrays import Truth, Vector
 from necc_casadi.certificate.prover.arithmetic.boxes import subdivide
+from necc_casadi.certificate.prover.arithmetic.definite import inverse, solve
 from necc_casadi.certificate.prover.arithmetic.intervals import (
     Interval,
     concatenate,
@@ -25,7 +27,7 @@ from necc_casadi.certificate.prover.arithmetic.intervals import (
 )
 from necc_casadi.certificate.prover.arithmetic.jets import expression_values
 
-__all__ = ["Transport", "inverse", "values_on"]
+__all__ = ["Transport", "values_on"]
 
 
 #: Cells per axis on each face of the cube of directions, how often they are cut in two per axis,
@@ -37,6 +39,7 @@ _CONES, _CUTS, _PIECES = 4, 2, 3
 _PICARD, _SLACK = 6, 0.1
 
 
+#: Room for the checker's arithmetic, which rounds radii and steps otherwise.
 _EASE = 1e-6
 
 
@@ -112,17 +115,7 @@ class Transport:
         """B(ξ)⁻¹A_H⁻¹v, (cones, nc); not finite where B is not proved regular."""
         nc = len(self.scale)
         B = values_on(list(self.across), self.xi, xi).reshape(-1, nc, nc)
-        finite: Truth = np.asarray(np.isfinite(B.lo + B.hi).all((1, 2)))
-        middle = np.where(finite[:, None, None], B.mid, np.eye(nc))
-        near: Vector = np.asarray(np.linalg.inv(middle), dtype=np.float64)
-        E = matmul(point(near), B) - np.eye(nc)
-        excess = point(E.magnitude).sum().hi.max(-1)
-        # B⁻¹ = (I + E)⁻¹N = (I − E)N + E²(I + E)⁻¹N for N near it
-        x = matmul(point(near), v[..., None])
-        slack = excess**2 / (1 - excess) * (1 + _EASE) * x.magnitude.max((1, 2))
-        slack = np.where(finite & (excess < 1), slack, np.inf)[:, None]
-        x = (x - matmul(E, x))[..., 0]
-        return x + Interval(-slack, slack)
+        return solve(B, v[..., None])[..., 0]
 
     def _rate(self, Q: Interval, turned: Interval) -> Interval:
         """A(q)B(ξ)⁻¹A_H⁻¹v over boxes of q, (cones, r); boxes are cut for sharpness."""
@@ -181,11 +174,3 @@ def values_on(
     variables = {s: box[:, k] for k, s in enumerate(symbols)}
     zero = point(np.zeros(box.shape[0]))
     return stack([zero + v for v in expression_values(list(expressions), variables)], 1)
-
-
-def inverse(A: Vector) -> Interval:
-    """A⁻¹ for a well-conditioned matrix: with T near it and E = I − TA, (I − E)⁻¹T."""
-    T = np.asarray(np.linalg.inv(A), float)
-    excess = float(point((matmul(T, point(A)) - np.eye(len(A))).magnitude).sum().hi.max())
-    slack = (2 * excess if excess < 0.5 else np.inf) * np.abs(T).max(0)
-    return Interval(T - slack, T + slack)
