@@ -1,6 +1,7 @@
-"""The minimum z̄ of V near z*: existence, uniqueness and distance, proved (theory: rigorous bound).
+"""The minimum z̄ of V near z*: existence, uniqueness and distance, proved.
 
-If ∇²V ⪰ μI on a ball of radius r around z* and g = ‖∇V(z*)‖ < μr, then V has exactly one critical
+This is eq. ErrorUpperBound with a proved μ in place of a − ε and a proof that z̄ exists:
+if ∇²V ⪰ μI on a ball of radius r around z* and g = ‖∇V(z*)‖ < μr, then V has exactly one critical
 point z̄ there, a strict minimum, and ‖z̄ − z*‖ ≤ g/μ.
 """
 

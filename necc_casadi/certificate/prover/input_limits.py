@@ -1,8 +1,9 @@
 """Input limits: the largest level c_u ≤ c at which |u| provably stays within them on Ω.
 
-u = −Gcᵀ∇Hc − D Gᵀ ∂V/∂x (Lemma 1). With s the momenta of H = ½ sᵀA(y)s + U(y) and y the other
-states, V(y, s) ≥ V(y, 0) + ½ δ sᵀAs, so {V ≤ c} holds |wᵀAs|² ≤ 2(c − V(y, 0)) wᵀAw/δ for every w:
-the share of the momenta in u is bounded on each cell of y by the room that is left below c.
+u = −Gcᵀ∇Hc − D Gᵀ ∂V/∂x (Lemma EnergyCasimirControl). With s the momenta of
+H = ½ sᵀA(y)s + U(y) and y the other states, V(y, s) ≥ V(y, 0) + ½ δ sᵀAs, so by Cauchy–Schwarz
+{V ≤ c} holds |wᵀAs|² ≤ 2(c − V(y, 0)) wᵀAw/δ for every w: the share of the momenta in u is bounded
+on each cell of y by the room that is left below c.
 """
 
 from __future__ import annotations
