@@ -1,6 +1,6 @@
 """Casimirs by integration: kernel vectors that are, up to a factor, gradients.
 
-The separable form of the paper is the special case v = F with Fᵢ a function of zᵢ alone.
+The separable form of eq. CasimirConditionFunctionCase is v = F with Fᵢ a function of zᵢ alone.
 """
 
 from __future__ import annotations

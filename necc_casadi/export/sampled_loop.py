@@ -5,7 +5,8 @@ Between samples u is held and the plant moves freely, so its part of the lineari
     x⁺ = e^{AT} x + ∫₀ᵀ e^{As} ds G u,   u = u_x x + u_ξ ξ,   A = ∂((J − R)∇H + G ū)/∂x
     ξ⁺ = P(T f_ξ) ξ + T Q(T f_ξ) f_x x,  P(z) = Σ_{k≤s} z^k/k!,  Q(z) = Σ_{k<s} z^k/(k+1)!
 
-with ξ̇ = f(x, ξ) advanced by a method of order s with x held. Local: it says nothing about regions.
+with ξ̇ = f(x, ξ) advanced by a method of order s with x held. Local: it says nothing about regions
+(docs/theory.md#sampled-loop).
 """
 
 from __future__ import annotations

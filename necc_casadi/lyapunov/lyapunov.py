@@ -1,9 +1,9 @@
-"""V = Φ(H + Hc, C), its derivatives, and the control law of Lemma 1, in CasADi MX.
+"""V = Φ(H + Hc, C), its derivatives, and its control law, in CasADi MX.
 
 C = K(Σ βᵢ(cᵢ))  or  K(c₁, …, c_r)                         eq. casimir_parameterization
-u  = −Gcᵀ∇Hc − D Gᵀ ∂V/∂x                                 Lemma 1, with u = −y_c + v
+u  = −Gcᵀ∇Hc − D Gᵀ ∂V/∂x                                 Lemma EnergyCasimirControl
 ξ̇  = (Jc − Rc)∇Hc + Gc Gᵀ∇H − Gc Dc Gcᵀ ∂V/∂ξ
-ż  = (M/Φ₁ − 𝒢𝒟𝒢ᵀ)∇V,  M = Jcl − Rcl                      the same loop, because M∇C = 0
+ż  = (M/Φ₁ − 𝒢𝒟𝒢ᵀ)∇V,  M = Jcl − Rcl                      docs/theory.md#decrease
 """
 
 from __future__ import annotations

@@ -29,7 +29,24 @@ __all__ = ["Plant", "make_plant"]
 class Plant:
     """A port-Hamiltonian plant, exact and checked (eq. Plant).
 
-    Build one with :func:`make_plant`, which substitutes parameters and checks the structure.
+    Build one with :func:`make_plant`, which checks the structure. Quantities are in the units of
+    the model.
+
+    References
+    ----------
+    van der Schaft (2017), chapter 6.
+
+    Examples
+    --------
+    >>> import sympy as sp
+    >>> from necc_casadi import make_plant
+    >>> q, p = sp.symbols("q p", real=True)
+    >>> J, G = sp.Matrix([[0, 1], [-1, 0]]), sp.Matrix([0, 1])
+    >>> plant = make_plant((q, p), J, sp.zeros(2, 2), G, p**2 / 2 + 1 - sp.cos(q))
+    >>> plant.n, plant.m, plant.states
+    (2, 1, ('q', 'p'))
+    >>> plant.holding_input({q: sp.pi / 6, p: 0})
+    Matrix([[1/2]])
     """
 
     name: str
@@ -94,12 +111,48 @@ def make_plant(
 ) -> Plant:
     """Check the structure of eq. Plant and return the plant; numbers become exact rationals.
 
+    Parameters
+    ----------
+    x
+        States, n symbols.
+    J, R, G
+        Interconnection n × n, dissipation n × n and input matrix n × m, of x.
+    H
+        Hamiltonian, a scalar of x, in the unit of energy that the model is written in.
+    name
+        Title.
+    units
+        State to unit, for texts and plots.
+    domain
+        State to (lo, hi): where proofs, plots and random starts stay.
+    u_limits
+        One pair (lo, hi) per input.
+
+    Returns
+    -------
+    Plant
+        Exact and checked; what could not be proved for all x says so in its ``properties``.
+
     Raises
     ------
     ModelError
         With the code of the first property that fails: ``duplicate_state, shape, h_not_scalar,
         undefined_symbol, not_real, non_smooth, singular, h_constant, j_not_skew, r_not_symmetric,
-        r_not_psd, g_rank, limits``.
+        r_not_psd, g_rank, limits``; see docs/contract.md#errors.
+
+    Examples
+    --------
+    >>> import sympy as sp
+    >>> from necc_casadi import make_plant
+    >>> q, p = sp.symbols("q p", real=True)
+    >>> J, G = sp.Matrix([[0, 1], [-1, 0]]), sp.Matrix([0, 1])
+    >>> plant = make_plant((q, p), J, sp.zeros(2, 2), G, p**2 / 2 + 1 - sp.cos(q))
+    >>> [p.name for p in plant.properties if not p.proved]
+    []
+    >>> make_plant((q, p), sp.ones(2, 2), sp.zeros(2, 2), G, p**2)
+    Traceback (most recent call last):
+    necc_casadi.errors.ModelError: J must be skew-symmetric: J[0,0] + J[0,0] = 2
+    Set J[0,0] = -J[0,0], so zero on the diagonal.
     """
     x = tuple(x)
     check_states(x, "x")

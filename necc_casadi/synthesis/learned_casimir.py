@@ -2,7 +2,8 @@
 
 eq. NonParameterizedCostMinimization: Σ ‖∇C_θ(zᵢ)ᵀ(Jcl − Rcl)(zᵢ)‖² over samples of the domain joins
 the objective. C_θ is then a Casimir only approximately: V̇ ≤ 0 is not implied, and no certificate
-is claimed from it. What is reported is the residual on points that it was not trained on.
+is claimed from it (docs/theory.md#learned-casimirs). What is reported is the residual on points
+that it was not trained on.
 """
 
 from __future__ import annotations

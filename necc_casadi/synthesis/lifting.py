@@ -3,6 +3,10 @@
 V depends on the weights θ, at z*, only through value, gradient and Hessian of each network at its
 input there. With these jets y as variables of their own, ∇V(z*) and ∇²V(z*) are small expressions
 that do not grow with the networks: V with each network replaced by its Taylor polynomial.
+
+References
+----------
+Albersmeyer and Diehl (2010), lifted Newton methods.
 """
 
 from __future__ import annotations

@@ -8,7 +8,8 @@ and ReLU smoothed,
 
     ReLU((1/N) Σ ‖zᵢ − z*‖² − γ ΔV(zᵢ)),    ReLU(v) ≈ (v + √(v² + δ²))/2.
 
-As published, with V(zᵢ) in place of ΔV(zᵢ), an offset of V would minimise it.
+As published, with V(zᵢ) in place of ΔV(zᵢ), an offset of V would minimise it
+(docs/theory.md#regulariser-without-offset).
 
 *level*: the part of the domain below a level c that no boundary point lies below,
 

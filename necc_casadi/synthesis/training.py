@@ -19,11 +19,16 @@ random initialisation; hidden layers cost more than output layers, in which jets
 that the Gauss–Newton Hessian is accurate.
 
 *Soft form*, for targets or curvatures out of reach: min s + t subject to ∇V(z*) = s w, wᵀw ≤ 1,
-∇²V(z*) + (t − a)I = LLᵀ, s, t ≥ 0. Its minimum is the minimum of ε exactly.
+∇²V(z*) + (t − a)I = LLᵀ, s, t ≥ 0. Its minimum is the minimum of ε exactly
+(docs/theory.md#smooth-loss).
 
 *Shaped form* (shaping.py). The hard form with a heavy objective over samples of the
 domain, in rows u = A m + b that are affine in the weights m that move; the hidden layers are fixed
 at their start and ξ* is held to its own, around which the samples lie. The Hessian is exact.
+
+References
+----------
+Wächter and Biegler (2006), IPOPT. Kulis, Sustik and Dhillon (2009), the log-det divergence.
 """
 
 from __future__ import annotations

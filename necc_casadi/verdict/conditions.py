@@ -1,4 +1,4 @@
-"""The conditions of assignability at a target: exact derivatives, gradient, curvature.
+"""What eq. LocalMinimumCondition asks of a target: exact derivatives, gradient, curvature.
 
 With N = ∇ₓc(x*, ξ*) and W a basis of ker Nᵀ: ∇H + Nλ = 0 and Wᵀ∇²ₓ(H + Σ λᵢcᵢ)W ≻ 0.
 """
@@ -87,7 +87,7 @@ class LocalConditions:
 
     @property
     def reason(self) -> str:
-        """Contract word for the first condition that fails, before completeness is considered."""
+        """Word for the first condition that fails (docs/contract.md#json), before completeness."""
         if self.gradient is not True:
             return "undecided" if self.gradient is None else "invisible_gradient"
         kind = "undecided" if self.best is None else self.best.kind

@@ -50,8 +50,29 @@ def judge(loop: ClosedLoop, casimirs: Casimirs, x_star: Mapping[sp.Symbol, sp.Ex
 
     Parameters
     ----------
+    loop, casimirs
+        Closed loop and its closed-form Casimirs.
     x_star
         Exact value of every plant state.
+
+    Returns
+    -------
+    Verdict
+        True and False are proved, None is undecided; a refusal is a value, not an exception.
+
+    References
+    ----------
+    Finsler (1937). docs/theory.md#verdict has statement and proof.
+
+    Examples
+    --------
+    >>> from necc_casadi import find_casimirs, judge, load_model, parse_target
+    >>> loop = load_model("pendulum.py").loop
+    >>> verdict = judge(loop, find_casimirs(loop), parse_target(loop.plant, "pi/4"))
+    >>> verdict.assignable, verdict.reason, round(verdict.a_max, 6)
+    (True, 'ok', 1.0)
+    >>> judge(loop, find_casimirs(loop), parse_target(loop.plant, "0,1")).reason
+    'not_an_equilibrium'
     """
     point = {s: sp.sympify(x_star[s]) for s in loop.plant.x}
     balance = is_equilibrium(loop, point)
