@@ -222,10 +222,11 @@ class Net:
         f0, f1, f2, f3 = self.activation(row[0])
         full = len(row) == self._at[4]
         if self.d == 1:
-            g, H = row[1], row[2]
-            f2g = f2 * g
-            result = [f0, f1 * g, f1 * H + f2g * g]
-            return [*result, f1 * row[3] + 3 * f2g * H + f3 * g * g * g] if full else result
+            slope, bend = row[1], row[2]
+            f2g = f2 * slope
+            result = [f0, f1 * slope, f1 * bend + f2g * slope]
+            third = f1 * row[3] + 3 * f2g * bend + f3 * slope * slope * slope if full else None
+            return result if third is None else [*result, third]
         g, H = row[1 : self._at[2]], row[self._at[2] : self._at[3]]
         result = [f0, *(f1 * x for x in g)]
         result += [f1 * h + f2 * g[i] * g[j] for h, (i, j) in zip(H, self._pairs, strict=True)]
