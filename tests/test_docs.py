@@ -9,6 +9,7 @@ import re
 import shlex
 import sys
 from pathlib import Path
+from typing import get_args
 
 import click
 import jsonschema
@@ -302,7 +303,7 @@ def test_every_entry_of_a_design_is_explained(designs):
 
 def test_every_entry_of_a_certificate_is_explained(default_design):
     text = section(FORMATS, "certificate.json")
-    assert f"ormat {CERTIFICATE_FORMAT}" in text
+    assert f"Format {CERTIFICATE_FORMAT}." in text
     named = set(words(text))
     data = json.loads(certify(default_design).to_json())
     entries = {re.sub(r"^reach_.*", "reach_<state>", key) for key in keys(data)}
@@ -311,6 +312,9 @@ def test_every_entry_of_a_certificate_is_explained(default_design):
     assert {claim["name"] for claim in data["claims"]} <= claims
     for region in (regions.GridRegion, regions.EllipsoidRegion, regions.ChartRegion):
         assert set(region.__dataclass_fields__) <= named, region
+    methods = {words(row[0])[0] for row in rows(section(FORMATS, "Regions"))}
+    assert methods == set(get_args(regions.Method))
+    assert set(get_args(regions.Kind)) | set(get_args(regions.Follows)) <= named
 
 
 def imported_from_here(tree: ast.AST) -> set[str]:
