@@ -8,6 +8,7 @@ Results are kept per box, since neighbouring cells ask for the same ones.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
 
 import sympy as sp
 from flint import arb, arb_mat
@@ -17,13 +18,6 @@ from necc_casadi.certificate.checker.arithmetic.networks import Net
 from necc_casadi.certificate.checker.model import StoredDesign
 
 __all__ = ["Energy", "hessian_hull"]
-
-
-Table = list[list[arb]]
-
-
-#: An inner function of K: value, gradient, Hessian.
-Inner = tuple[arb, list[arb], Table]
 
 
 class _Term:
@@ -42,6 +36,14 @@ class _Term:
         if key not in self._known:
             self._known[key] = evaluate(self.expr, {v: ball(*box[k]) for k, v in self.used})
         return self._known[key]
+
+
+class _Jet(NamedTuple):
+    """A function over a box."""
+
+    value: arb
+    grad: list[arb]
+    hess: list[list[arb]]
 
 
 class Energy:
@@ -136,22 +138,23 @@ class Energy:
             grad[self.d - self.model.nc + i] += g
         C, inner, outer, _ = self._casimir(box)
         slope = [
-            sum((outer[a] * s[1][i] for a, s in enumerate(inner)), arb(0)) for i in range(self.d)
+            sum((slope * c.grad[i] for slope, c in zip(outer, inner, strict=True)), arb(0))
+            for i in range(self.d)
         ]
         return H(box) + hc, grad, C, slope
 
-    def _casimir(self, box: Box) -> tuple[arb, list[Inner], list[arb], dict[tuple[int, int], arb]]:
-        """K, its inner functions (value, gradient, Hessian), ∇K and ∇²K."""
+    def _casimir(self, box: Box) -> tuple[arb, list[_Jet], list[arb], dict[tuple[int, int], arb]]:
+        """K, its inner functions, ∇K and ∇²K."""
         inner = []
         for f, grad, hess in self._tables[1:]:
             rows = [[h(box) for h in row] for row in hess]
-            inner.append((f(box), [g(box) for g in grad], rows))
+            inner.append(_Jet(f(box), [g(box) for g in grad], rows))
         if self.betas:
             inner = [self._summed(inner)]
-        value, outer, curved = self.k(tuple(ends(s[0]) for s in inner))
+        value, outer, curved = self.k(tuple(ends(c.value) for c in inner))
         return value, inner, outer, curved
 
-    def _summed(self, inner: list[Inner]) -> Inner:
+    def _summed(self, inner: list[_Jet]) -> _Jet:
         """Σ βᵢ(cᵢ)."""
         total, grad = arb(0), [arb(0)] * self.d
         hess = [[arb(0)] * self.d for _ in range(self.d)]
@@ -162,7 +165,7 @@ class Energy:
             for i in range(self.d):
                 for j in range(self.d):
                     hess[i][j] = hess[i][j] + b1 * ddc[i][j] + curved[0, 0] * dc[i] * dc[j]
-        return total, grad, hess
+        return _Jet(total, grad, hess)
 
     def casimirs(self, box: Box) -> tuple[list[arb], list[list[arb]]]:
         """The Casimirs and their gradients over a box."""
@@ -187,7 +190,7 @@ class Energy:
                 for j in range(self.d):
                     part[i][j] = part[i][j] + outer[a] * ddc[i][j]
         for (a, b), w in weights.items():
-            self._add_outer(part, w, inner[a][1], inner[b][1], a != b)
+            self._add_outer(part, w, inner[a].grad, inner[b].grad, a != b)
         return arb_mat(total) if self.phi is None else self._through_phi(box, total, part)
 
     @staticmethod
@@ -197,13 +200,13 @@ class Energy:
             if i != j:
                 total[first + j][first + i] = total[first + j][first + i] + h
 
-    def _add_outer(self, total: Table, w: arb, u: list[arb], v: list[arb], both: bool) -> None:
+    def _add_outer(self, total: Any, w: arb, u: list[arb], v: list[arb], both: bool) -> None:
         for i in range(self.d):
             for j in range(self.d):
                 term = u[i] * v[j] + v[i] * u[j] if both else u[i] * v[j]
                 total[i][j] = total[i][j] + w * term
 
-    def _through_phi(self, box: Box, energy: Table, casimir: Table) -> arb_mat:
+    def _through_phi(self, box: Box, energy: Any, casimir: Any) -> arb_mat:
         e, de, C, dC = self._energy_and_casimir(box)
         if self.phi is None:
             return arb_mat(energy)
