@@ -74,7 +74,7 @@ class Design(Parts):
 
     def control(self, x: npt.ArrayLike, xi: npt.ArrayLike) -> tuple[Vector, Vector]:
         """The controller: plant state (n,), controller state (nc,) -> u (m,), ξ̇ (nc,)."""
-        u, xi_dot = self.lyapunov.control_law(np.asarray(x, float), np.asarray(xi, float))
+        u, xi_dot = self.lyapunov.control_law.call([np.asarray(x, float), np.asarray(xi, float)])
         return np.asarray(u, float).ravel(), np.asarray(xi_dot, float).ravel()
 
     def V(self, z: npt.ArrayLike) -> float:

@@ -171,7 +171,7 @@ def simulate(
     except RuntimeError:  # the integrator's way to say that it cannot go on
         states, complete = z0[None, :], False
     n, count = V.terms.n, len(states)
-    inputs, _ = V.control_law.map(count)(states[:, :n].T, states[:, n:].T)
+    inputs, _ = V.control_law.map(count).call([states[:, :n].T, states[:, n:].T])
     values = V.V.map(count)(states.T)
     return Trajectory(
         t=grid[: len(states)],

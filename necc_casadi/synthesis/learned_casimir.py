@@ -69,7 +69,7 @@ def casimir_residual(
     evaluate = ca.Function("both", [z], [gradient, terms.M(z)])
     shares = []
     for point in _samples(scales, z_star, _TESTED, seed + 1_000_003):
-        slope, M = (np.asarray(v, float) for v in evaluate(point))
+        slope, M = (np.asarray(v, float) for v in evaluate.call([point]))
         size = np.linalg.norm(slope) * np.linalg.norm(M, 2)
         shares.append(float(np.linalg.norm(M.T @ slope) / size) if size > 0 else 0.0)
     return Residual(float(np.mean(shares)), float(np.max(shares)), len(shares))

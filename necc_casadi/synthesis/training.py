@@ -244,7 +244,7 @@ class _Solver:
         n_lifted, nc = lifting.small.numel(), lifting.terms.nc
         s, w = ca.MX.sym("s", self.n_small), ca.MX.sym("w", lifting.form.size)
         start = ca.MX.sym("start", nc + lifting.form.size)
-        f, equal, unequal = core(s)
+        f, equal, unequal = core.call([s])
         weights = ca.DM(lifting.sigma) * w + ca.DM(lifting.tau)
         if program.mode == "hard":
             f = f + self._proximity(s, w, start)

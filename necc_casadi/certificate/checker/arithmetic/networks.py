@@ -247,10 +247,12 @@ class Net:
         f0, f1, f2, f3 = self.activation(row[0])
         layout, full = self._layout, len(row) == self._layout.at[4]
         if self.d == 1:
-            g, H = row[1], row[2]
-            f2g = f2 * g
-            result = [f0, f1 * g, f1 * H + f2g * g]
-            return [*result, f1 * row[3] + 3 * f2g * H + f3 * g * g * g] if full else result
+            slope, bend = row[1], row[2]
+            f2g = f2 * slope
+            result = [f0, f1 * slope, f1 * bend + f2g * slope]
+            if not full:
+                return result
+            return [*result, f1 * row[3] + 3 * f2g * bend + f3 * slope * slope * slope]
         g, H = row[1 : layout.at[2]], row[layout.at[2] : layout.at[3]]
         result = [f0, *(f1 * x for x in g)]
         result += [f1 * h + f2 * g[i] * g[j] for h, (i, j) in zip(H, layout.pairs, strict=True)]
