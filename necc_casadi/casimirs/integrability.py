@@ -94,7 +94,7 @@ def potential(w: Sequence[sp.Expr], z: Sequence[sp.Symbol]) -> sp.Expr | None:
         for j in range(i):
             if is_zero(sp.diff(w[i], z[j]) - sp.diff(w[j], z[i])) is not True:
                 return None
-    c = sp.Integer(0)
+    c: sp.Expr = sp.Integer(0)
     for s, slope in zip(z, w, strict=True):
         rest = slope - sp.diff(c, s)
         if rest == 0:

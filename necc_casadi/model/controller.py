@@ -62,7 +62,7 @@ def default_controller(plant: Plant) -> Controller:
 
 
 def make_controller(
-    plant: Plant, xi: Sequence[sp.Symbol], Jc: sp.Matrix, Rc: sp.Matrix, Gc: sp.Matrix
+    plant: Plant, xi: Sequence[sp.Symbol], Jc: sp.MatrixBase, Rc: sp.MatrixBase, Gc: sp.MatrixBase
 ) -> Controller:
     """Check the structure of eq. Controller against `plant`.
 
@@ -107,18 +107,18 @@ def make_controller(
             "Rename one of them; the default controller states are called xi1, xi2, ….",
         )
     nc = len(xi)
-    Jc = square_matrix(Jc, nc, "Jc", xi)
-    Rc = square_matrix(Rc, nc, "Rc", xi)
-    Gc = shaped_matrix(Gc, "Gc", xi)
-    if Gc.shape != (nc, plant.m):
+    interconnection = square_matrix(Jc, nc, "Jc", xi)
+    dissipation = square_matrix(Rc, nc, "Rc", xi)
+    ports = shaped_matrix(Gc, "Gc", xi)
+    if ports.shape != (nc, plant.m):
         raise ModelError(
             "shape",
-            f"Gc has shape {Gc.rows}×{Gc.cols}",
+            f"Gc has shape {ports.rows}×{ports.cols}",
             f"Gc must be {nc}×{plant.m}: controller states by inputs.",
         )
     properties = (
-        check_skew(Jc, "Jc", "jc_not_skew"),
-        check_psd(Rc, "Rc", "rc_not_psd", "rc_not_psd"),
-        check_rank(Gc, "Gc", "gc_rank"),
+        check_skew(interconnection, "Jc", "jc_not_skew"),
+        check_psd(dissipation, "Rc", "rc_not_psd", "rc_not_psd"),
+        check_rank(ports, "Gc", "gc_rank"),
     )
-    return Controller(xi, Jc, Rc, Gc, properties)
+    return Controller(xi, interconnection, dissipation, ports, properties)

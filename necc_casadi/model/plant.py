@@ -99,9 +99,9 @@ class Plant:
 
 def make_plant(
     x: Sequence[sp.Symbol],
-    J: sp.Matrix,
-    R: sp.Matrix,
-    G: sp.Matrix,
+    J: sp.MatrixBase,
+    R: sp.MatrixBase,
+    G: sp.MatrixBase,
     H: sp.Expr,
     *,
     name: str = "plant",
@@ -158,31 +158,31 @@ def make_plant(
     check_states(x, "x")
     n = len(x)
     H = _hamiltonian(H, x)
-    J, R = (square_matrix(matrix, n, label, x) for matrix, label in ((J, "J"), (R, "R")))
-    G = shaped_matrix(G, "G", x)
-    if G.rows != n or G.cols == 0:
+    interconnection, dissipation = square_matrix(J, n, "J", x), square_matrix(R, n, "R", x)
+    ports = shaped_matrix(G, "G", x)
+    if ports.rows != n or ports.cols == 0:
         raise ModelError(
             "shape",
-            f"G has shape {G.rows}×{G.cols}, but x has {n} states",
+            f"G has shape {ports.rows}×{ports.cols}, but x has {n} states",
             f"G needs {n} rows and one column per input.",
         )
     properties = (
-        check_skew(J, "J", "j_not_skew"),
-        check_psd(R, "R", "r_not_symmetric", "r_not_psd"),
-        check_rank(G, "G", "g_rank"),
+        check_skew(interconnection, "J", "j_not_skew"),
+        check_psd(dissipation, "R", "r_not_symmetric", "r_not_psd"),
+        check_rank(ports, "G", "g_rank"),
     )
-    if u_limits is not None and len(u_limits) != G.cols:
+    if u_limits is not None and len(u_limits) != ports.cols:
         raise ModelError(
             "limits",
-            f"u_limits has {len(u_limits)} entries, but G has {G.cols} columns",
+            f"u_limits has {len(u_limits)} entries, but G has {ports.cols} columns",
             "Give one (lo, hi) pair per input.",
         )
     return Plant(
         name=name,
         x=x,
-        J=J,
-        R=R,
-        G=G,
+        J=interconnection,
+        R=dissipation,
+        G=ports,
         H=H,
         units=dict(units or {}),
         domain=dict(domain or {}),

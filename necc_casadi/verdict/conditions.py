@@ -169,7 +169,7 @@ def _multipliers(N: sp.Matrix, gradient: sp.Matrix) -> tuple[list[sp.Expr] | Non
     reduced, pivots = reduced_rows(augmented)
     if r in pivots:
         return None, []
-    lam = [sp.Integer(0)] * r
+    lam: list[sp.Expr] = [sp.Integer(0)] * r
     for i, p in enumerate(pivots):
         lam[p] = reduced[i, r]
     basis = kernel(N.extract(rows, list(range(r)))) if rows else sp.eye(r)
