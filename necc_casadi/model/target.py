@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 import numpy as np
 import sympy as sp
@@ -171,7 +171,7 @@ def _null_space(matrix: Vector) -> Vector:
     return right[rank:].T
 
 
-def _equations(plant: Plant):  # type: ignore[no-untyped-def]
+def _equations(plant: Plant) -> tuple[Callable[[Vector], Vector], Callable[[Vector], Vector]]:
     """(residual, Jacobian) of the equilibrium equations as numpy functions."""
     equations = sp.Matrix(plant.equilibrium_equations)
     if not equations:

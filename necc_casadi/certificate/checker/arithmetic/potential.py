@@ -8,7 +8,6 @@ Results are kept per box, since neighbouring cells ask for the same ones.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import sympy as sp
 from flint import arb, arb_mat
@@ -18,6 +17,13 @@ from necc_casadi.certificate.checker.arithmetic.networks import Net
 from necc_casadi.certificate.checker.model import StoredDesign
 
 __all__ = ["Energy", "hessian_hull"]
+
+
+Table = list[list[arb]]
+
+
+#: An inner function of K: value, gradient, Hessian.
+Inner = tuple[arb, list[arb], Table]
 
 
 class _Term:
@@ -134,9 +140,7 @@ class Energy:
         ]
         return H(box) + hc, grad, C, slope
 
-    def _casimir(
-        self, box: Box
-    ) -> tuple[arb, list[tuple[arb, list[arb], Any]], list[arb], dict[tuple[int, int], arb]]:
+    def _casimir(self, box: Box) -> tuple[arb, list[Inner], list[arb], dict[tuple[int, int], arb]]:
         """K, its inner functions (value, gradient, Hessian), ∇K and ∇²K."""
         inner = []
         for f, grad, hess in self._tables[1:]:
@@ -147,7 +151,7 @@ class Energy:
         value, outer, curved = self.k(tuple(ends(s[0]) for s in inner))
         return value, inner, outer, curved
 
-    def _summed(self, inner: list[tuple[arb, list[arb], Any]]) -> tuple[arb, list[arb], Any]:
+    def _summed(self, inner: list[Inner]) -> Inner:
         """Σ βᵢ(cᵢ)."""
         total, grad = arb(0), [arb(0)] * self.d
         hess = [[arb(0)] * self.d for _ in range(self.d)]
@@ -193,13 +197,13 @@ class Energy:
             if i != j:
                 total[first + j][first + i] = total[first + j][first + i] + h
 
-    def _add_outer(self, total: Any, w: arb, u: list[arb], v: list[arb], both: bool) -> None:
+    def _add_outer(self, total: Table, w: arb, u: list[arb], v: list[arb], both: bool) -> None:
         for i in range(self.d):
             for j in range(self.d):
                 term = u[i] * v[j] + v[i] * u[j] if both else u[i] * v[j]
                 total[i][j] = total[i][j] + w * term
 
-    def _through_phi(self, box: Box, energy: Any, casimir: Any) -> arb_mat:
+    def _through_phi(self, box: Box, energy: Table, casimir: Table) -> arb_mat:
         e, de, C, dC = self._energy_and_casimir(box)
         if self.phi is None:
             return arb_mat(energy)
