@@ -15,6 +15,9 @@ from necc_casadi.symbolic.expressions import parse
 __all__ = ["StoredDesign"]
 
 
+Side = tuple[arb, arb] | tuple[float, float]
+
+
 class StoredDesign:
     """design.json as expressions and exact numbers."""
 
@@ -79,7 +82,7 @@ class StoredDesign:
             result.append((lo, hi))
         return result
 
-    def in_domain(self, states: Sequence[int], sides: Iterable[tuple[arb, arb]]) -> bool:
+    def in_domain(self, states: Sequence[int], sides: Iterable[Side]) -> bool:
         """Whether a box of some of the states, by ends that are numbers or balls, is inside."""
         return all(
             bool(self.bounds[i][0] <= lo) and bool(hi <= self.bounds[i][1])
