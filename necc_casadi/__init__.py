@@ -14,6 +14,9 @@ From a sympy model to a certified C controller, in the order of the theory::
     u, xi_dot = made.control(x=[0.1, 0.0], xi=[0.2])      # (n,), (nc,) -> (m,), (nc,)
     A, B, C, D = made.linearise()                         # (n + nc)², (n + nc) × 2m, …
 
+``pendulum.py`` is the model file of the README; examples in the docstrings load it too. What is
+proved and why: docs/theory.md. What scripts may rely on: docs/contract.md.
+
 Names are loaded when they are first used, so that importing the package is quick.
 """
 

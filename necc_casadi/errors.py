@@ -28,7 +28,7 @@ class InputError(NeccError):
     Parameters
     ----------
     code
-        Code word of the contract, e.g. ``j_not_skew``.
+        Code word of docs/contract.md#errors, e.g. ``j_not_skew``.
     fault
         One line that names the entry at fault and its value.
     remedy

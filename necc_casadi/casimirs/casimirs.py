@@ -11,11 +11,19 @@ __all__ = ["Casimirs"]
 
 @dataclass(frozen=True, eq=False)
 class Casimirs:
-    """Functionally independent closed forms with ∇Cᵀ(Jcl − Rcl) = 0, each one proved."""
+    """Functionally independent closed forms with ∇Cᵀ(Jcl − Rcl) = 0, each one proved.
+
+    Examples
+    --------
+    >>> from necc_casadi import find_casimirs, load_model
+    >>> casimirs = find_casimirs(load_model("pendulum.py").loop)
+    >>> casimirs.functions, casimirs.generic_count, casimirs.complete
+    ((q - xi1,), 1, True)
+    """
 
     functions: tuple[sp.Expr, ...]  # (r,) of z
     kernel_rank: int  # generic rank of ker Jcl ∩ ker Rcl
-    generic_count: int  # how many exist (theory: involutive closure)
+    generic_count: int  # how many exist (docs/theory.md#count-of-casimirs)
     origins: tuple[str, ...] = ()  # (r,) how each was found
     count_proved: bool = True  # that no more than `generic_count` exist
 

@@ -33,16 +33,33 @@ def find_casimirs(
 
     Parameters
     ----------
+    loop
+        Plant and controller.
     supplied
         Casimirs that the user knows; each is proved, and taken before others are sought.
     target
         Plant states at the target; forms without poles there are preferred.
+
+    Returns
+    -------
+    Casimirs
+        r closed forms of z and how many exist; fewer closed forms than exist are no error.
 
     Raises
     ------
     ModelError
         ``casimir_disproved`` for a supplied function that is not a Casimir, or that cannot be
         proved to be one.
+
+    References
+    ----------
+    Nijmeijer and van der Schaft (1990), Frobenius' theorem: how many exist.
+
+    Examples
+    --------
+    >>> from necc_casadi import find_casimirs, load_model
+    >>> find_casimirs(load_model("pendulum.py").loop).functions
+    (q - xi1,)
     """
     M = loop.M
     given = [_proved(loop, c, i) for i, c in enumerate(supplied)]

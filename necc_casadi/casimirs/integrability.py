@@ -1,6 +1,6 @@
 """Casimirs by integration: kernel vectors that are, up to a factor, gradients.
 
-The separable form of the paper is the special case v = F with Fᵢ a function of zᵢ alone.
+The separable form of eq. CasimirConditionFunctionCase is v = F with Fᵢ a function of zᵢ alone.
 """
 
 from __future__ import annotations
@@ -94,7 +94,7 @@ def potential(w: Sequence[sp.Expr], z: Sequence[sp.Symbol]) -> sp.Expr | None:
         for j in range(i):
             if is_zero(sp.diff(w[i], z[j]) - sp.diff(w[j], z[i])) is not True:
                 return None
-    c = sp.Integer(0)
+    c: sp.Expr = sp.Integer(0)
     for s, slope in zip(z, w, strict=True):
         rest = slope - sp.diff(c, s)
         if rest == 0:

@@ -100,7 +100,7 @@ def lie_bracket(f: Field, g: Field, z: Sequence[sp.Symbol]) -> Field:
 
 def _derivative(f: Field, along: Field, z: Sequence[sp.Symbol]) -> list[sp.Expr]:
     moving = [(s, a) for s, a in zip(z, along, strict=True) if a != 0]
-    result = []
+    result: list[sp.Expr] = []
     for entry in f:
         free = entry.free_symbols
         result.append(sp.Add(*[sp.diff(entry, s) * a for s, a in moving if s in free]))

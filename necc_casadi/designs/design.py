@@ -30,7 +30,26 @@ __all__ = ["Design"]
 
 @dataclass(frozen=True, eq=False)
 class Design(Parts):
-    """A finished design: model, Casimirs, verdict, weights, equilibrium and damping."""
+    """A finished design: model, Casimirs, verdict, weights, equilibrium and damping.
+
+    Saved and loaded it is the same bit for bit (docs/certificate-format.md).
+
+    Examples
+    --------
+    >>> from necc_casadi import Design, design, find_casimirs, judge, load_model, parse_target
+    >>> loop = load_model("pendulum.py").loop
+    >>> x_star = parse_target(loop.plant, "pi/4")
+    >>> casimirs = find_casimirs(loop)
+    >>> made = design(loop, casimirs, judge(loop, casimirs, x_star), x_star)
+    >>> u, xi_dot = made.control(x=[0.1, 0.0], xi=[0.5])
+    >>> u.shape, xi_dot.shape
+    ((1,), (1,))
+    >>> A, B, C, D = made.linearise()
+    >>> A.shape, B.shape, C.shape, D.shape
+    ((3, 3), (3, 2), (2, 3), (2, 2))
+    >>> Design.load(made.save("design.json")).hash == made.hash
+    True
+    """
 
     @cached_property
     def domain(self) -> Domain:
@@ -55,7 +74,7 @@ class Design(Parts):
 
     def control(self, x: npt.ArrayLike, xi: npt.ArrayLike) -> tuple[Vector, Vector]:
         """The controller: plant state (n,), controller state (nc,) -> u (m,), ξ̇ (nc,)."""
-        u, xi_dot = self.lyapunov.control_law(np.asarray(x, float), np.asarray(xi, float))
+        u, xi_dot = self.lyapunov.control_law.call([np.asarray(x, float), np.asarray(xi, float)])
         return np.asarray(u, float).ravel(), np.asarray(xi_dot, float).ravel()
 
     def V(self, z: npt.ArrayLike) -> float:
@@ -113,7 +132,13 @@ class Design(Parts):
         return hashlib.sha256(self.text.encode()).hexdigest()
 
     def save(self, path: str | Path) -> Path:
-        """Write design.json at `path`, whole or not at all."""
+        """Write design.json at `path`, whole or not at all, and return the path.
+
+        Raises
+        ------
+        OutputError
+            When it cannot be written.
+        """
         return write_text(Path(path), self.text)
 
     @classmethod
@@ -138,7 +163,13 @@ class Design(Parts):
 
     @classmethod
     def from_text(cls, text: str, label: str = "design.json") -> Design:
-        """Rebuild a design from the content of design.json; `label` names it in errors."""
+        """Rebuild a design from the content of design.json; `label` names it in errors.
+
+        Raises
+        ------
+        OutputError
+            When it is not a design of this format.
+        """
         remedy = f"Design it again; this version reads format {DESIGN_FORMAT}."
         try:
             data = json.loads(text)

@@ -1,4 +1,4 @@
-"""ε of a finished design (eq. FinalTrainLoss) and the bound ε/(a − ε) (eq. ErrorUpperBound)."""
+"""ε of a finished design (eq. FinalTrainLoss), on which eq. ErrorUpperBound rests."""
 
 from __future__ import annotations
 

@@ -48,12 +48,28 @@ def export_c(
     measured
         Compile and time the code for the README, where a C compiler is.
 
+    Returns
+    -------
+    list of Path
+        The files written.
+
     Raises
     ------
     OptionError
         For an unknown type or integrator, or a sample time that is not positive.
     OutputError
         When a file cannot be written.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> from necc_casadi import design, export_c, find_casimirs, judge, load_model, parse_target
+    >>> loop = load_model("pendulum.py").loop
+    >>> x_star = parse_target(loop.plant, "pi/4")
+    >>> casimirs = find_casimirs(loop)
+    >>> made = design(loop, casimirs, judge(loop, casimirs, x_star), x_star)
+    >>> sorted(path.name for path in export_c(made, Path("c"), measured=False))[-3:]
+    ['necc.h', 'selftest.c', 'test_vectors.h']
     """
     source = Source(design, real, sample_time, integrator, certificate_hash, tuple(claims))
     files = {

@@ -1,4 +1,4 @@
-"""``necc.c``: the control law of Lemma 1 and what advances ξ.
+"""``necc.c``: the law of Lemma EnergyCasimirControl and what advances ξ.
 
 With γᵢ = Φ₂ ∂C/∂cᵢ and Φ₁ from the networks,
 
@@ -50,7 +50,7 @@ def _networks(source: Source) -> list[CNetwork]:
 
 
 def _leaves(source: Source) -> list[str]:
-    """Casimirs, H where Φ is neural, and the law of Lemma 1 given the networks' slopes."""
+    """Casimirs, H where Φ is neural, and the law given the networks' slopes."""
     design, real = source.design, source.number
     terms = design.lyapunov.terms
     x, xi = ca.SX.sym("x", source.n), ca.SX.sym("xi", source.nc)

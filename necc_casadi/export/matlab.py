@@ -28,7 +28,7 @@ def export_mex(design: Design, path: Path) -> Path:
     """
     law = design.lyapunov.control_law
     x, xi = law.mx_in()
-    named = ca.Function("necc_control", [x, xi], law(x, xi), ["x", "xi"], ["u", "xidot"])
+    named = ca.Function("necc_control", [x, xi], law.call([x, xi]), ["x", "xi"], ["u", "xidot"])
     generator = ca.CodeGenerator("necc_control.c", {"mex": True})
     generator.add(named)
     with tempfile.TemporaryDirectory(prefix="necc-") as folder:

@@ -5,7 +5,8 @@ Between samples u is held and the plant moves freely, so its part of the lineari
     x⁺ = e^{AT} x + ∫₀ᵀ e^{As} ds G u,   u = u_x x + u_ξ ξ,   A = ∂((J − R)∇H + G ū)/∂x
     ξ⁺ = P(T f_ξ) ξ + T Q(T f_ξ) f_x x,  P(z) = Σ_{k≤s} z^k/k!,  Q(z) = Σ_{k<s} z^k/(k+1)!
 
-with ξ̇ = f(x, ξ) advanced by a method of order s with x held. Local: it says nothing about regions.
+with ξ̇ = f(x, ξ) advanced by a method of order s with x held. Local: it says nothing about regions
+(docs/theory.md#sampled-loop).
 """
 
 from __future__ import annotations
@@ -83,13 +84,14 @@ def _linear_parts(design: Design) -> tuple[Vector, ...]:
     """A (n × n), G (n × m), u_x, u_ξ, f_x, f_ξ at z̄ and its holding input."""
     terms, law = design.lyapunov.terms, design.lyapunov.control_law
     x, xi, u = (ca.MX.sym(s, k) for s, k in (("x", terms.n), ("xi", terms.nc), ("u", terms.m)))
-    law_u, law_f = law(x, xi)
+    law_u, law_f = law.call([x, xi])
     plant = terms.F(x) @ terms.grad_H(x) + terms.G(x) @ u
     jacobians = [ca.jacobian(plant, x), terms.G(x)]
     jacobians += [ca.jacobian(f, s) for f in (law_u, law_f) for s in (x, xi)]
     z = design.z_bar
     x_bar, xi_bar = z[: terms.n], z[terms.n :]
-    values = ca.Function("parts", [x, xi, u], jacobians)(x_bar, xi_bar, law(x_bar, xi_bar)[0])
+    u_bar = law.call([x_bar, xi_bar])[0]
+    values = ca.Function("parts", [x, xi, u], jacobians).call([x_bar, xi_bar, u_bar])
     return tuple(np.asarray(value, dtype=float) for value in values)
 
 

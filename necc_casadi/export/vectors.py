@@ -30,15 +30,15 @@ def reference_step(design: Design, integrator: str) -> ca.Function:
     """(x, ξ, dt) -> (u, ξ after dt): one sample with x held, before saturation."""
     terms, law = design.lyapunov.terms, design.lyapunov.control_law
     x, xi, dt = ca.MX.sym("x", terms.n), ca.MX.sym("xi", terms.nc), ca.MX.sym("dt")
-    u, k1 = law(x, xi)
+    u, k1 = law.call([x, xi])
     if integrator == "euler":
         after = xi + dt * k1
     elif integrator == "heun":
-        after = xi + dt / 2 * (k1 + law(x, xi + dt * k1)[1])
+        after = xi + dt / 2 * (k1 + law.call([x, xi + dt * k1])[1])
     else:
-        k2 = law(x, xi + dt / 2 * k1)[1]
-        k3 = law(x, xi + dt / 2 * k2)[1]
-        after = xi + dt / 6 * (k1 + 2 * k2 + 2 * k3 + law(x, xi + dt * k3)[1])
+        k2 = law.call([x, xi + dt / 2 * k1])[1]
+        k3 = law.call([x, xi + dt / 2 * k2])[1]
+        after = xi + dt / 6 * (k1 + 2 * k2 + 2 * k3 + law.call([x, xi + dt * k3])[1])
     return ca.Function("necc_step", [x, xi, dt], [u, after])
 
 
@@ -54,7 +54,7 @@ def vector_table(source: Source) -> str:
         z = real.rounded(inside if index > 0 else design.z_star)
         dt = float(real.rounded(np.array(source.step_time * (1 + index % 3) / 3)))
         u, xi_dot = design.control(z[:n], z[n:])
-        after = np.asarray(step(z[:n], z[n:], dt)[1], float).ravel()
+        after = np.asarray(step.call([z[:n], z[n:], dt])[1], float).ravel()
         limited, flags = _saturated(design, u)
         rows.append(_row([z[:n], z[n:]], [u, xi_dot, limited, after], dt, flags, real))
     return fill(

@@ -1,9 +1,9 @@
-"""V = Φ(H + Hc, C), its derivatives, and the control law of Lemma 1, in CasADi MX.
+"""V = Φ(H + Hc, C), its derivatives, and its control law, in CasADi MX.
 
 C = K(Σ βᵢ(cᵢ))  or  K(c₁, …, c_r)                         eq. casimir_parameterization
-u  = −Gcᵀ∇Hc − D Gᵀ ∂V/∂x                                 Lemma 1, with u = −y_c + v
+u  = −Gcᵀ∇Hc − D Gᵀ ∂V/∂x                                 Lemma EnergyCasimirControl
 ξ̇  = (Jc − Rc)∇Hc + Gc Gᵀ∇H − Gc Dc Gcᵀ ∂V/∂ξ
-ż  = (M/Φ₁ − 𝒢𝒟𝒢ᵀ)∇V,  M = Jcl − Rcl                      the same loop, because M∇C = 0
+ż  = (M/Φ₁ − 𝒢𝒟𝒢ᵀ)∇V,  M = Jcl − Rcl                      docs/theory.md#decrease
 """
 
 from __future__ import annotations
@@ -11,17 +11,21 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TypeVar
 
 import casadi as ca
 import numpy as np
 
 from necc_casadi.arrays import Vector
 from necc_casadi.casimirs.casimirs import Casimirs
-from necc_casadi.lyapunov.parameterization import Form, Scalar
+from necc_casadi.lyapunov.parameterization import Form
 from necc_casadi.lyapunov.sympy2casadi import casadi_function
 from necc_casadi.model.closed_loop import ClosedLoop
 
 __all__ = ["LyapunovFunction", "Terms", "make_terms", "value"]
+
+
+_Symbols = TypeVar("_Symbols", ca.MX, ca.SX)
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,11 +67,11 @@ def make_terms(loop: ClosedLoop, casimirs: Casimirs) -> Terms:
 
 def value(
     terms: Terms,
-    z: ca.MX,
-    controller_energy: Scalar,
-    casimir: Scalar,
-    outer: Callable[[ca.MX, ca.MX], ca.MX],
-) -> ca.MX:
+    z: _Symbols,
+    controller_energy: Callable[[_Symbols], _Symbols],
+    casimir: Callable[[_Symbols], _Symbols],
+    outer: Callable[[_Symbols, _Symbols], _Symbols],
+) -> _Symbols:
     """V(z) = Φ(H(x) + Hc(ξ), C(c(z))) for any functions Hc, C and Φ."""
     x, xi = z[: terms.n], z[terms.n :]
     return outer(terms.H(x) + controller_energy(xi), casimir(terms.c(z)))
@@ -138,7 +142,7 @@ class LyapunovFunction:
         terms = self.terms
         z = self._z()
         x, xi = z[: terms.n], z[terms.n :]
-        u, xi_dot = self.control_law(x, xi)
+        u, xi_dot = self.control_law.call([x, xi])
         x_dot = terms.F(x) @ terms.grad_H(x) + terms.G(x) @ u
         return ca.Function("loop", [z], [ca.vertcat(x_dot, xi_dot)], ["z"], ["z_dot"])
 

@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from itertools import pairwise
+from typing import TypeVar
 
 import casadi as ca
 import numpy as np
@@ -19,6 +20,10 @@ import numpy as np
 from necc_casadi.arrays import Vector
 
 __all__ = ["ACTIVATIONS", "KAPPA_MIN", "MonotonePhi", "Network"]
+
+
+#: Weights that are known, or to be found.
+_Weights = TypeVar("_Weights", ca.DM, ca.MX)
 
 
 #: Least curvature of a quadratic part, in units of energy/length².
@@ -131,7 +136,7 @@ class Network:
             lower[-2 * self.inputs : -self.inputs] = kappa
         return lower
 
-    def __call__(self, weights: ca.MX, v: ca.MX) -> ca.MX:
+    def __call__(self, weights: _Weights, v: ca.MX) -> ca.MX:
         """f(v), scalar, for `weights` (size,) and `v` (d,)."""
         activate = ACTIVATIONS[self.activation]
         at, value = 0, v
@@ -189,7 +194,7 @@ class MonotonePhi:
         """Lower bounds of the weights: none."""
         return np.full(self.size, -np.inf)
 
-    def __call__(self, weights: ca.MX, v: ca.MX) -> ca.MX:
+    def __call__(self, weights: _Weights, v: ca.MX) -> ca.MX:
         """Φ(v[0], v[1]), scalar."""
         a, b, d, f = ca.vertsplit(weights, self.hidden)
         neurons = ca.tanh(ca.exp(b) * v[0] + d * v[1] + f)

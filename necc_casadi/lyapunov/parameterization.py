@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import TypeVar
 
 import casadi as ca
 import numpy as np
@@ -16,6 +17,12 @@ __all__ = ["Form", "Scalar"]
 
 
 Scalar = Callable[[ca.MX], ca.MX]
+
+
+_Weights = TypeVar("_Weights", ca.DM, ca.MX)
+
+
+_Split = TypeVar("_Split", Vector, ca.DM, ca.MX)
 
 
 @dataclass(frozen=True)
@@ -37,8 +44,8 @@ class Form:
         """Number of weights of all networks."""
         return sum(network.size for network in self.networks)
 
-    def split(self, weights: Vector) -> list[Vector]:
-        """The weight vectors of :attr:`networks`; also splits a CasADi vector."""
+    def split(self, weights: _Split) -> list[_Split]:
+        """The weight vectors of :attr:`networks`."""
         ends = np.cumsum([0, *[network.size for network in self.networks]])
         return [weights[a:b] for a, b in pairwise(ends)]
 
@@ -46,22 +53,22 @@ class Form:
         """Random weights for all networks, (size,)."""
         return np.concatenate([network.initial(rng) for network in self.networks])
 
-    def controller_energy(self, weights: ca.MX) -> Scalar:
+    def controller_energy(self, weights: _Weights) -> Scalar:
         """ξ ↦ Hc(ξ)."""
         theta = self.split(weights)[0]
         return lambda xi: self.hc(theta, xi)
 
-    def casimir(self, weights: ca.MX) -> Scalar:
+    def casimir(self, weights: _Weights) -> Scalar:
         """(c₁, …, c_r) ↦ C, in the sum or the joint form."""
         _, theta_k, *rest = self.split(weights)
         if not self.betas:
             return lambda c: self.k(theta_k, c)
         return lambda c: self.k(
             theta_k,
-            sum(beta(rest[i], c[i]) for i, beta in enumerate(self.betas)),
+            sum((beta(rest[i], c[i]) for i, beta in enumerate(self.betas)), ca.MX(0)),
         )
 
-    def outer(self, weights: ca.MX) -> Callable[[ca.MX, ca.MX], ca.MX]:
+    def outer(self, weights: _Weights) -> Callable[[ca.MX, ca.MX], ca.MX]:
         """(e, C) ↦ Φ(e, C)."""
         phi = self.phi
         if phi is None:

@@ -22,7 +22,7 @@ _CALLS: dict[type[sp.Basic], Any] = {
 
 def to_casadi(expr: sp.Expr, values: dict[sp.Symbol, Any], cache: dict[sp.Expr, Any]) -> Any:
     """Translate `expr` with symbols looked up in `values`; common subexpressions once."""
-    if expr in values:
+    if isinstance(expr, sp.Symbol):
         return values[expr]
     if expr not in cache:
         cache[expr] = _translate(expr, values, cache)
@@ -37,7 +37,7 @@ def _translate(expr: sp.Expr, values: dict[sp.Symbol, Any], cache: dict[sp.Expr,
         return sum(arguments[1:], arguments[0])
     if expr.is_Mul:
         return _product(expr, arguments)
-    if expr.is_Pow:
+    if isinstance(expr, sp.Pow):
         return _power(expr, arguments)
     return _CALLS[type(expr)](*arguments)
 
@@ -49,7 +49,7 @@ def _product(expr: sp.Expr, arguments: list[Any]) -> Any:
     return result
 
 
-def _power(expr: sp.Expr, arguments: list[Any]) -> Any:
+def _power(expr: sp.Pow, arguments: list[Any]) -> Any:
     base, exponent = arguments
     if expr.exp == sp.Rational(1, 2):
         return ca.sqrt(base)

@@ -21,7 +21,20 @@ __all__ = ["ClosedLoop", "interconnect"]
 
 @dataclass(frozen=True, eq=False)
 class ClosedLoop:
-    """Plant and controller, interconnected (eq. ClosedLoopSystem), z = (x, ξ)."""
+    """Plant and controller, interconnected (eq. ClosedLoopSystem), z = (x, ξ).
+
+    Examples
+    --------
+    >>> from necc_casadi import load_model
+    >>> loop = load_model("pendulum.py").loop
+    >>> loop.states
+    ('q', 'p', 'xi1')
+    >>> loop.J
+    Matrix([
+    [ 0, 1,  0],
+    [-1, 0, -1],
+    [ 0, 1,  0]])
+    """
 
     plant: Plant
     controller: Controller
@@ -71,5 +84,29 @@ class ClosedLoop:
 
 
 def interconnect(plant: Plant, controller: Controller) -> ClosedLoop:
-    """The closed loop of eq. ClosedLoopSystem, before damping is injected."""
+    """The closed loop of eq. ClosedLoopSystem, before damping is injected.
+
+    Parameters
+    ----------
+    plant, controller
+        Coupled by u = −y_c + v, u_c = y + v_c (eq. PlantControllerInterconnection).
+
+    Returns
+    -------
+    ClosedLoop
+        With the n + nc states z = (x, ξ).
+
+    Examples
+    --------
+    >>> import sympy as sp
+    >>> from necc_casadi import interconnect, make_controller, make_plant
+    >>> q, p = sp.symbols("q p", real=True)
+    >>> J, G = sp.Matrix([[0, 1], [-1, 0]]), sp.Matrix([0, 1])
+    >>> plant = make_plant((q, p), J, sp.zeros(2, 2), G, p**2 / 2 + 1 - sp.cos(q))
+    >>> xi = sp.Symbol("xi", real=True)
+    >>> controller = make_controller(plant, [xi], sp.zeros(1, 1), sp.zeros(1, 1), sp.eye(1))
+    >>> loop = interconnect(plant, controller)
+    >>> loop.n, (loop.J + loop.J.T).is_zero_matrix
+    (3, True)
+    """
     return ClosedLoop(plant, controller)

@@ -25,7 +25,17 @@ __all__ = ["Controller", "default_controller", "make_controller"]
 
 @dataclass(frozen=True, eq=False)
 class Controller:
-    """Structure of the controller (eq. Controller); Hc comes later, from the design."""
+    """Structure of the controller (eq. Controller); Hc comes later, from the design.
+
+    Examples
+    --------
+    The controller of a model file that names none: one integrator per input.
+
+    >>> from necc_casadi import load_model
+    >>> controller = load_model("pendulum.py").loop.controller
+    >>> controller.states, controller.Jc, controller.Gc
+    (('xi1',), Matrix([[0]]), Matrix([[1]]))
+    """
 
     xi: tuple[sp.Symbol, ...]  # (nc,)
     Jc: sp.ImmutableMatrix  # nc × nc, skew-symmetric
@@ -52,15 +62,40 @@ def default_controller(plant: Plant) -> Controller:
 
 
 def make_controller(
-    plant: Plant, xi: Sequence[sp.Symbol], Jc: sp.Matrix, Rc: sp.Matrix, Gc: sp.Matrix
+    plant: Plant, xi: Sequence[sp.Symbol], Jc: sp.MatrixBase, Rc: sp.MatrixBase, Gc: sp.MatrixBase
 ) -> Controller:
     """Check the structure of eq. Controller against `plant`.
+
+    Parameters
+    ----------
+    plant
+        With m inputs.
+    xi
+        Controller states, nc symbols that are no plant states.
+    Jc, Rc, Gc
+        Interconnection nc × nc, dissipation nc × nc and input matrix nc × m, of ξ.
+
+    Returns
+    -------
+    Controller
+        Exact and checked.
 
     Raises
     ------
     ModelError
         ``name_clash, duplicate_state, shape, undefined_symbol, not_real, non_smooth, singular,
-        jc_not_skew, rc_not_psd, gc_rank``.
+        jc_not_skew, rc_not_psd, gc_rank``; see docs/contract.md#errors.
+
+    Examples
+    --------
+    >>> import sympy as sp
+    >>> from necc_casadi import make_controller, make_plant
+    >>> q, p = sp.symbols("q p", real=True)
+    >>> J, G = sp.Matrix([[0, 1], [-1, 0]]), sp.Matrix([0, 1])
+    >>> plant = make_plant((q, p), J, sp.zeros(2, 2), G, p**2 / 2 + 1 - sp.cos(q))
+    >>> xi = sp.Symbol("xi", real=True)
+    >>> make_controller(plant, [xi], sp.zeros(1, 1), sp.zeros(1, 1), sp.eye(1)).states
+    ('xi',)
     """
     xi = tuple(xi)
     check_states(xi, "xi")
@@ -72,18 +107,18 @@ def make_controller(
             "Rename one of them; the default controller states are called xi1, xi2, ….",
         )
     nc = len(xi)
-    Jc = square_matrix(Jc, nc, "Jc", xi)
-    Rc = square_matrix(Rc, nc, "Rc", xi)
-    Gc = shaped_matrix(Gc, "Gc", xi)
-    if Gc.shape != (nc, plant.m):
+    interconnection = square_matrix(Jc, nc, "Jc", xi)
+    dissipation = square_matrix(Rc, nc, "Rc", xi)
+    ports = shaped_matrix(Gc, "Gc", xi)
+    if ports.shape != (nc, plant.m):
         raise ModelError(
             "shape",
-            f"Gc has shape {Gc.rows}×{Gc.cols}",
+            f"Gc has shape {ports.rows}×{ports.cols}",
             f"Gc must be {nc}×{plant.m}: controller states by inputs.",
         )
     properties = (
-        check_skew(Jc, "Jc", "jc_not_skew"),
-        check_psd(Rc, "Rc", "rc_not_psd", "rc_not_psd"),
-        check_rank(Gc, "Gc", "gc_rank"),
+        check_skew(interconnection, "Jc", "jc_not_skew"),
+        check_psd(dissipation, "Rc", "rc_not_psd", "rc_not_psd"),
+        check_rank(ports, "Gc", "gc_rank"),
     )
-    return Controller(xi, Jc, Rc, Gc, properties)
+    return Controller(xi, interconnection, dissipation, ports, properties)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import sympy as sp
@@ -92,7 +93,7 @@ def scalar_entry(value: object, label: str, allowed: Sequence[sp.Symbol]) -> sp.
     return expr
 
 
-def shaped_matrix(value: object, label: str, allowed: Sequence[sp.Symbol]) -> sp.ImmutableMatrix:
+def shaped_matrix(value: Any, label: str, allowed: Sequence[sp.Symbol]) -> sp.ImmutableMatrix:
     """`value` as a matrix of checked entries; vectors become one column."""
     try:
         matrix = sp.Matrix(value) if not isinstance(value, sp.MatrixBase) else value
@@ -123,7 +124,7 @@ def square_matrix(
     return matrix
 
 
-def check_skew(J: sp.Matrix, label: str, code: str) -> Property:
+def check_skew(J: sp.MatrixBase, label: str, code: str) -> Property:
     """Decide J = −Jᵀ entry by entry."""
     proved = True
     for i in range(J.rows):
@@ -142,7 +143,7 @@ def check_skew(J: sp.Matrix, label: str, code: str) -> Property:
     return Property(f"{label} = -{label}ᵀ", proved)
 
 
-def check_psd(R: sp.Matrix, label: str, code_symmetric: str, code_psd: str) -> Property:
+def check_psd(R: sp.MatrixBase, label: str, code_symmetric: str, code_psd: str) -> Property:
     """Decide R = Rᵀ ⪰ 0; what is undecided is sampled once the target is known."""
     proved = True
     for i in range(R.rows):
@@ -162,7 +163,7 @@ def check_psd(R: sp.Matrix, label: str, code_symmetric: str, code_psd: str) -> P
     return Property(f"{label} ⪰ 0", proved and verdict is True)
 
 
-def not_psd(R: sp.Matrix, label: str, point: Mapping[sp.Symbol, sp.Expr]) -> tuple[str, str]:
+def not_psd(R: sp.MatrixBase, label: str, point: Mapping[sp.Symbol, sp.Expr]) -> tuple[str, str]:
     """Fault and remedy for a matrix that is not ⪰ 0, with a witness entry or eigenvalue."""
     where = f" at {shown_point(point)}" if point else ""
     remedy = f"Every quadratic form of {label} must be nonnegative: dissipation takes energy out."
@@ -174,17 +175,17 @@ def not_psd(R: sp.Matrix, label: str, point: Mapping[sp.Symbol, sp.Expr]) -> tup
                 f"{float(sp.N(value)):.4g}{where}",
                 remedy,
             )
-    value = sp.Matrix(R.subs(point))
-    if value.free_symbols:
+    there = sp.Matrix(R.subs(point))
+    if there.free_symbols:
         return f"{label} must be positive semidefinite: a diagonal entry is negative", remedy
-    lowest = np.linalg.eigvalsh(np.array(value.evalf(), dtype=float))[0]
+    lowest = np.linalg.eigvalsh(np.array(there.evalf(), dtype=float))[0]
     return (
         f"{label} must be positive semidefinite: its least eigenvalue is {lowest:.3g}{where}",
         remedy,
     )
 
 
-def check_rank(G: sp.Matrix, label: str, code: str) -> Property:
+def check_rank(G: sp.MatrixBase, label: str, code: str) -> Property:
     """Decide that G has full rank (min of its sides) at generic points."""
     full = min(G.shape)
     rank = generic_rank(sp.Matrix(G))

@@ -42,7 +42,17 @@ _LONG, _ALIKE = 4, 0.8
 
 @dataclass(frozen=True, eq=False)
 class Model:
-    """What a model file says."""
+    """What a model file says (docs/contract.md#model-file).
+
+    Examples
+    --------
+    >>> from necc_casadi import load_model
+    >>> model = load_model("pendulum.py")
+    >>> model.loop.plant.H
+    p**2/2 - cos(q) + 1
+    >>> model.target is None, model.D is None
+    (True, True)
+    """
 
     loop: ClosedLoop
     casimirs: tuple[sp.Expr, ...] = ()  # supplied by the user, not yet proved
@@ -62,10 +72,25 @@ def load_model(path: str | Path, overrides: Mapping[str, str] | None = None) -> 
     overrides
         Values of parameters by name, as texts (``--param``).
 
+    Returns
+    -------
+    Model
+        Exact and checked; the target, supplied Casimirs and damping as the file gives them.
+
     Raises
     ------
     ModelError
-        With the code of the first fault; see the contract for the list.
+        With the code of the first fault; docs/contract.md#errors lists them.
+
+    Examples
+    --------
+    >>> from necc_casadi import load_model
+    >>> load_model("pendulum.py").loop.plant.states
+    ('q', 'p')
+    >>> load_model("pendulum.py", {"k": "4"})
+    Traceback (most recent call last):
+    necc_casadi.errors.ModelError: --param k: the model has no parameter k
+    Its parameters: none.
     """
     path = Path(path)
     space = _execute(path)

@@ -29,7 +29,24 @@ __all__ = ["Plant", "make_plant"]
 class Plant:
     """A port-Hamiltonian plant, exact and checked (eq. Plant).
 
-    Build one with :func:`make_plant`, which substitutes parameters and checks the structure.
+    Build one with :func:`make_plant`, which checks the structure. Quantities are in the units of
+    the model.
+
+    References
+    ----------
+    van der Schaft (2017), chapter 6.
+
+    Examples
+    --------
+    >>> import sympy as sp
+    >>> from necc_casadi import make_plant
+    >>> q, p = sp.symbols("q p", real=True)
+    >>> J, G = sp.Matrix([[0, 1], [-1, 0]]), sp.Matrix([0, 1])
+    >>> plant = make_plant((q, p), J, sp.zeros(2, 2), G, p**2 / 2 + 1 - sp.cos(q))
+    >>> plant.n, plant.m, plant.states
+    (2, 1, ('q', 'p'))
+    >>> plant.holding_input({q: sp.pi / 6, p: 0})
+    Matrix([[1/2]])
     """
 
     name: str
@@ -82,9 +99,9 @@ class Plant:
 
 def make_plant(
     x: Sequence[sp.Symbol],
-    J: sp.Matrix,
-    R: sp.Matrix,
-    G: sp.Matrix,
+    J: sp.MatrixBase,
+    R: sp.MatrixBase,
+    G: sp.MatrixBase,
     H: sp.Expr,
     *,
     name: str = "plant",
@@ -94,42 +111,78 @@ def make_plant(
 ) -> Plant:
     """Check the structure of eq. Plant and return the plant; numbers become exact rationals.
 
+    Parameters
+    ----------
+    x
+        States, n symbols.
+    J, R, G
+        Interconnection n × n, dissipation n × n and input matrix n × m, of x.
+    H
+        Hamiltonian, a scalar of x, in the unit of energy that the model is written in.
+    name
+        Title.
+    units
+        State to unit, for texts and plots.
+    domain
+        State to (lo, hi): where proofs, plots and random starts stay.
+    u_limits
+        One pair (lo, hi) per input.
+
+    Returns
+    -------
+    Plant
+        Exact and checked; what could not be proved for all x says so in its ``properties``.
+
     Raises
     ------
     ModelError
         With the code of the first property that fails: ``duplicate_state, shape, h_not_scalar,
         undefined_symbol, not_real, non_smooth, singular, h_constant, j_not_skew, r_not_symmetric,
-        r_not_psd, g_rank, limits``.
+        r_not_psd, g_rank, limits``; see docs/contract.md#errors.
+
+    Examples
+    --------
+    >>> import sympy as sp
+    >>> from necc_casadi import make_plant
+    >>> q, p = sp.symbols("q p", real=True)
+    >>> J, G = sp.Matrix([[0, 1], [-1, 0]]), sp.Matrix([0, 1])
+    >>> plant = make_plant((q, p), J, sp.zeros(2, 2), G, p**2 / 2 + 1 - sp.cos(q))
+    >>> [p.name for p in plant.properties if not p.proved]
+    []
+    >>> make_plant((q, p), sp.ones(2, 2), sp.zeros(2, 2), G, p**2)
+    Traceback (most recent call last):
+    necc_casadi.errors.ModelError: J must be skew-symmetric: J[0,0] + J[0,0] = 2
+    Set J[0,0] = -J[0,0], so zero on the diagonal.
     """
     x = tuple(x)
     check_states(x, "x")
     n = len(x)
     H = _hamiltonian(H, x)
-    J, R = (square_matrix(matrix, n, label, x) for matrix, label in ((J, "J"), (R, "R")))
-    G = shaped_matrix(G, "G", x)
-    if G.rows != n or G.cols == 0:
+    interconnection, dissipation = square_matrix(J, n, "J", x), square_matrix(R, n, "R", x)
+    ports = shaped_matrix(G, "G", x)
+    if ports.rows != n or ports.cols == 0:
         raise ModelError(
             "shape",
-            f"G has shape {G.rows}×{G.cols}, but x has {n} states",
+            f"G has shape {ports.rows}×{ports.cols}, but x has {n} states",
             f"G needs {n} rows and one column per input.",
         )
     properties = (
-        check_skew(J, "J", "j_not_skew"),
-        check_psd(R, "R", "r_not_symmetric", "r_not_psd"),
-        check_rank(G, "G", "g_rank"),
+        check_skew(interconnection, "J", "j_not_skew"),
+        check_psd(dissipation, "R", "r_not_symmetric", "r_not_psd"),
+        check_rank(ports, "G", "g_rank"),
     )
-    if u_limits is not None and len(u_limits) != G.cols:
+    if u_limits is not None and len(u_limits) != ports.cols:
         raise ModelError(
             "limits",
-            f"u_limits has {len(u_limits)} entries, but G has {G.cols} columns",
+            f"u_limits has {len(u_limits)} entries, but G has {ports.cols} columns",
             "Give one (lo, hi) pair per input.",
         )
     return Plant(
         name=name,
         x=x,
-        J=J,
-        R=R,
-        G=G,
+        J=interconnection,
+        R=dissipation,
+        G=ports,
         H=H,
         units=dict(units or {}),
         domain=dict(domain or {}),

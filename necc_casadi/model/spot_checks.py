@@ -70,7 +70,7 @@ def _check_defined(expr: sp.Expr, label: str, x_star: Mapping[sp.Symbol, sp.Expr
         raise ModelError("not_real", f"{label} = {expr} is not real {where}", remedy)
 
 
-def _check_rank(matrix: sp.Matrix, label: str, x_star: Mapping[sp.Symbol, sp.Expr]) -> None:
+def _check_rank(matrix: sp.MatrixBase, label: str, x_star: Mapping[sp.Symbol, sp.Expr]) -> None:
     values = matrix.subs(x_star)
     if values.free_symbols or not values:  # a Gc(ξ): ξ* is not known yet
         return
@@ -84,7 +84,7 @@ def _check_rank(matrix: sp.Matrix, label: str, x_star: Mapping[sp.Symbol, sp.Exp
 
 
 def _samples(
-    matrix: sp.Matrix, label: str, box: Mapping[sp.Symbol, tuple[sp.Expr, sp.Expr]]
+    matrix: sp.MatrixBase, label: str, box: Mapping[sp.Symbol, tuple[sp.Expr, sp.Expr]]
 ) -> list[tuple[dict[sp.Symbol, sp.Rational], Vector]]:
     """Random points of the box and the matrix there."""
     symbols = sorted(matrix.free_symbols, key=str)
@@ -105,7 +105,7 @@ def _samples(
 
 
 def _sample_psd(
-    matrix: sp.Matrix, label: str, box: Mapping[sp.Symbol, tuple[sp.Expr, sp.Expr]]
+    matrix: sp.MatrixBase, label: str, box: Mapping[sp.Symbol, tuple[sp.Expr, sp.Expr]]
 ) -> None:
     for point, value in _samples(matrix, label, box):
         if np.linalg.eigvalsh(value)[0] < -_RELATIVE * max(1.0, float(np.abs(value).max())):
@@ -113,7 +113,7 @@ def _sample_psd(
 
 
 def _sample_skew(
-    matrix: sp.Matrix, label: str, box: Mapping[sp.Symbol, tuple[sp.Expr, sp.Expr]]
+    matrix: sp.MatrixBase, label: str, box: Mapping[sp.Symbol, tuple[sp.Expr, sp.Expr]]
 ) -> None:
     for point, value in _samples(matrix, label, box):
         i, j = np.unravel_index(np.argmax(np.abs(value + value.T)), value.shape)

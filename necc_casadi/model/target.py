@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 import numpy as np
 import sympy as sp
@@ -24,10 +24,30 @@ __all__ = [
 def parse_target(plant: Plant, text: str) -> dict[sp.Symbol, sp.Expr]:
     """x* from ``pi/4``, ``q=pi/4``, ``q1=pi/4,q2=-pi/3`` or all states in order.
 
+    Parameters
+    ----------
+    plant
+        Whose equilibrium condition gives the states that are not named.
+    text
+        Constant expressions, in the units of the model.
+
+    Returns
+    -------
+    dict
+        Exact value of each of the n states. Where all are given they are taken as they are: the
+        verdict says whether they are an equilibrium.
+
     Raises
     ------
     TargetError
-        ``target_length, target_value, target_ambiguous, duplicate_state``.
+        ``target_length, target_value, target_ambiguous, duplicate_state``; see
+        docs/contract.md#errors.
+
+    Examples
+    --------
+    >>> from necc_casadi import load_model, parse_target
+    >>> parse_target(load_model("pendulum.py").loop.plant, "q=pi/4")
+    {q: pi/4, p: 0}
     """
     entries = _split(text)
     named = [entry for entry in entries if "=" in entry]
@@ -151,7 +171,7 @@ def _null_space(matrix: Vector) -> Vector:
     return right[rank:].T
 
 
-def _equations(plant: Plant):  # type: ignore[no-untyped-def]
+def _equations(plant: Plant) -> tuple[Callable[[Vector], Vector], Callable[[Vector], Vector]]:
     """(residual, Jacobian) of the equilibrium equations as numpy functions."""
     equations = sp.Matrix(plant.equilibrium_equations)
     if not equations:

@@ -44,7 +44,7 @@ class Findings:
 
     @property
     def status(self) -> str:
-        """The contract's word for the outcome."""
+        """The word for the outcome, see docs/contract.md#json."""
         if self.verdict is not None and self.verdict.assignable is False:
             return "refused"
         if self.design is None:
@@ -55,7 +55,7 @@ class Findings:
 
     @property
     def exit_code(self) -> int:
-        """The contract's exit code for the outcome."""
+        """The exit code for the outcome, see docs/contract.md#exit-codes."""
         return {"certified": 0, "assignable": 0, "refused": 3}.get(self.status, 4)
 
 

@@ -1,4 +1,4 @@
-"""What a run found, and the JSON of the contract."""
+"""What a run found, as the JSON of docs/contract.md#json."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ __all__ = ["design_block", "to_json"]
 
 
 def design_block(design: Design, certificate: Certificate | None) -> dict[str, Any]:
-    """The ``design`` block of the JSON."""
+    """The ``design`` block of the JSON; ``bound_paper`` is ε/(a − ε) of eq. ErrorUpperBound."""
     g, _ = gradient_and_hessian(design)
     at_bar = np.asarray(design.lyapunov.hessian(design.z_bar), float)
     epsilon = loss(design)
@@ -64,7 +64,7 @@ def design_block(design: Design, certificate: Certificate | None) -> dict[str, A
 
 
 def to_json(found: Findings) -> dict[str, Any]:
-    """The JSON object of the contract; blocks that were not made are None."""
+    """The object of docs/contract.md#json; blocks that were not made are None."""
     loop, casimirs, verdict = found.loop, found.casimirs, found.verdict
     data: dict[str, Any] = {
         "status": found.status,

@@ -48,7 +48,11 @@ class Arrivals:
 def converging(design: Design, starts: npt.ArrayLike, *, tolerance: float = 1e-4) -> Arrivals:
     """Whether the loop comes near z̄ within some default horizons, from states (B, n + nc).
 
-    Bogacki and Shampine's pair of orders 3 and 2 on all states at once, each with its own step.
+    A pair of orders 3 and 2 on all states at once, each with its own step.
+
+    References
+    ----------
+    Bogacki and Shampine (1989).
     """
     horizon, z_bar = _PATIENCE * default_horizon(design), design.z_bar[:, None]
     z = np.array(starts, float).T

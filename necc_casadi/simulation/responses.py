@@ -34,7 +34,21 @@ _RELATIVE, _ABSOLUTE = 1e-9, 1e-11
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """One closed-loop response on a time grid."""
+    """One closed-loop response on a time grid; units are the model's, times in seconds.
+
+    Examples
+    --------
+    >>> from necc_casadi import design, find_casimirs, judge, load_model, parse_target, simulate
+    >>> loop = load_model("pendulum.py").loop
+    >>> x_star = parse_target(loop.plant, "pi/4")
+    >>> casimirs = find_casimirs(loop)
+    >>> made = design(loop, casimirs, judge(loop, casimirs, x_star), x_star)
+    >>> response = simulate(made, [0.0, 0.0], points=201)
+    >>> response.t.shape, response.z.shape, response.u.shape
+    ((201,), (201, 3), (201, 1))
+    >>> response.complete, response.converged, response.settling_time < 20
+    (True, True, True)
+    """
 
     t: Vector  # (N,) s
     z: Vector  # (N, n + nc) plant states, then controller states
@@ -124,6 +138,26 @@ def simulate(
         Horizon, s; by default long enough for the slowest mode.
     points
         Number of output times.
+
+    Returns
+    -------
+    Trajectory
+        At `points` times; where the integrator gives up, ``complete`` is False and the arrays end.
+
+    References
+    ----------
+    Hindmarsh et al. (2005), CVODES.
+
+    Examples
+    --------
+    >>> from necc_casadi import design, find_casimirs, judge, load_model, parse_target, simulate
+    >>> loop = load_model("pendulum.py").loop
+    >>> x_star = parse_target(loop.plant, "pi/4")
+    >>> casimirs = find_casimirs(loop)
+    >>> made = design(loop, casimirs, judge(loop, casimirs, x_star), x_star)
+    >>> response = simulate(made, [0.0, 0.0])
+    >>> bool(abs(response.z[-1] - made.z_bar).max() < 1e-2)
+    True
     """
     V = design.lyapunov
     xi = design.xi_star if xi0 is None else np.asarray(xi0, float)
@@ -137,7 +171,7 @@ def simulate(
     except RuntimeError:  # the integrator's way to say that it cannot go on
         states, complete = z0[None, :], False
     n, count = V.terms.n, len(states)
-    inputs, _ = V.control_law.map(count)(states[:, :n].T, states[:, n:].T)
+    inputs, _ = V.control_law.map(count).call([states[:, :n].T, states[:, n:].T])
     values = V.V.map(count)(states.T)
     return Trajectory(
         t=grid[: len(states)],

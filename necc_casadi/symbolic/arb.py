@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import random
-from collections.abc import Iterable
-from typing import Any
+from collections.abc import Callable, Iterable
 
 import flint
 import sympy as sp
@@ -30,7 +29,7 @@ def real_rank(matrix: sp.Matrix, symbols: Iterable[sp.Symbol], wanted: int, trie
         for attempt in range(tries):
             lo, hi = (-1500, 1500) if attempt % 2 == 0 else (200, 1300)
             point = {s: flint.arb(flint.fmpq(rng.randint(lo, hi), 1009)) for s in names}
-            known: dict[sp.Expr, Any] = dict(point)
+            known: dict[sp.Expr, flint.arb] = dict(point.items())
             table = [[ball(e, known) for e in matrix.row(i)] for i in range(matrix.rows)]
             if all(e.is_finite() for row in table for e in row) and _pivoted(table) >= wanted:
                 return True
@@ -39,29 +38,31 @@ def real_rank(matrix: sp.Matrix, symbols: Iterable[sp.Symbol], wanted: int, trie
     return False
 
 
-def ball(expr: sp.Expr, known: dict[sp.Expr, Any]) -> Any:
+def ball(expr: sp.Expr, known: dict[sp.Expr, flint.arb]) -> flint.arb:
     """An Arb ball that contains the value of `expr`; `known` holds the symbols and the cache."""
     if expr not in known:
         known[expr] = _ball(sp.sympify(expr), known)
     return known[expr]
 
 
-_ARB = {
-    sp.sin: "sin", sp.cos: "cos", sp.tan: "tan", sp.asin: "asin", sp.acos: "acos",
-    sp.atan: "atan", sp.sinh: "sinh", sp.cosh: "cosh", sp.tanh: "tanh", sp.asinh: "asinh",
-    sp.acosh: "acosh", sp.atanh: "atanh", sp.exp: "exp", sp.log: "log",
+_ARB: dict[type[sp.Expr], Callable[[flint.arb], flint.arb]] = {
+    sp.sin: flint.arb.sin, sp.cos: flint.arb.cos, sp.tan: flint.arb.tan,
+    sp.asin: flint.arb.asin, sp.acos: flint.arb.acos, sp.atan: flint.arb.atan,
+    sp.sinh: flint.arb.sinh, sp.cosh: flint.arb.cosh, sp.tanh: flint.arb.tanh,
+    sp.asinh: flint.arb.asinh, sp.acosh: flint.arb.acosh, sp.atanh: flint.arb.atanh,
+    sp.exp: flint.arb.exp, sp.log: flint.arb.log,
 }  # fmt: skip
 
 
-def _ball(expr: sp.Expr, known: dict[sp.Expr, Any]) -> Any:
-    if expr.is_Rational:
+def _ball(expr: sp.Expr, known: dict[sp.Expr, flint.arb]) -> flint.arb:
+    if isinstance(expr, sp.Rational):
         return flint.arb(flint.fmpq(int(expr.p), int(expr.q)))
     if expr is sp.pi:
         return flint.arb.pi()
     if expr is sp.E:
         return flint.arb(1).exp()
     if type(expr) in _ARB:
-        return getattr(ball(expr.args[0], known), _ARB[type(expr)])()
+        return _ARB[type(expr)](ball(expr.args[0], known))
     if expr.is_Pow:
         base = ball(expr.args[0], known)
         exponent = expr.args[1]
@@ -79,7 +80,7 @@ def _ball(expr: sp.Expr, known: dict[sp.Expr, Any]) -> Any:
     return _measured(expr)
 
 
-def _measured(expr: sp.Expr) -> Any:
+def _measured(expr: sp.Expr) -> flint.arb:
     """A ball around a constant of another kind, e.g. a root of a polynomial, from its digits."""
     if not expr.is_number:
         return flint.arb("nan")
@@ -89,7 +90,7 @@ def _measured(expr: sp.Expr) -> Any:
     return flint.arb(flint.arb(str(value)).mid(), abs(flint.arb(str(value))) * 10 ** (5 - _DIGITS))
 
 
-def _pivoted(table: list[list[Any]]) -> int:
+def _pivoted(table: list[list[flint.arb]]) -> int:
     """Number of certain pivots in a Gaussian elimination over balls."""
     found, rows = 0, [list(row) for row in table]
     for column in range(len(rows[0]) if rows else 0):

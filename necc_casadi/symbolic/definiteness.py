@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from fractions import Fraction
-from typing import Any
 
 import flint
 import numpy as np
@@ -24,13 +23,14 @@ def definiteness(matrix: sp.Matrix) -> tuple[str, sp.ImmutableMatrix | None]:
     ``positive`` (definite), ``flat`` (⪰ 0, singular; a kernel vector), ``negative`` (indefinite
     or worse; a vector w with wᵀQw < 0) or ``undecided``.
     """
-    results = []
+    results: list[tuple[str, sp.ImmutableMatrix | None]] = []
     for block in blocks(matrix):
-        kind, vector = _block_definiteness(matrix.extract(block, block))
-        if vector is not None:
+        kind, part = _block_definiteness(matrix.extract(block, block))
+        vector = None
+        if part is not None:
             full = sp.zeros(matrix.rows, 1)
             for k, i in enumerate(block):
-                full[i] = vector[k]
+                full[i] = part[k]
             vector = sp.ImmutableMatrix(full)
         results.append((kind, vector))
     for kind in ("negative", "undecided", "flat"):
@@ -76,7 +76,7 @@ def _balls_positive(block: sp.Matrix) -> bool:
     """Whether an Arb LDLᵀ has certainly positive pivots."""
     previous, flint.ctx.prec = flint.ctx.prec, 256
     try:
-        known: dict[sp.Expr, Any] = {}
+        known: dict[sp.Expr, flint.arb] = {}
         rows = [[ball(e, known) for e in row] for row in block.tolist()]
         for i in range(len(rows)):
             if not rows[i][i] > 0:
@@ -100,7 +100,7 @@ def _semidefinite(block: sp.Matrix) -> tuple[str, sp.Matrix | None]:
     return ("flat", null[:, 0]) if verdict is True else ("undecided", None)
 
 
-def to_float(matrix: sp.Matrix) -> Vector:
+def to_float(matrix: sp.MatrixBase) -> Vector:
     """A constant matrix in floating point; NaN where an entry is not finite."""
     result = np.zeros(matrix.shape)
     for (i, j), entry in matrix.todok().items():

@@ -222,6 +222,6 @@ def _fits_double(value: sp.Expr) -> bool:
         return False
 
 
-def is_finite(expr: sp.Expr) -> bool:
+def is_finite(expr: sp.Expr | sp.MatrixBase) -> bool:
     """Whether no infinity and no undefined value stands in an expression."""
     return not expr.has(sp.zoo, sp.nan, sp.oo, -sp.oo)

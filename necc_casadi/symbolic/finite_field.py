@@ -61,7 +61,7 @@ class _FieldPoint:
 
     def _evaluate(self, expr: sp.Expr) -> Residues:
         p = self.prime
-        if expr.is_Rational:
+        if isinstance(expr, sp.Rational):
             value = int(expr.p) * pow(int(expr.q), -1, p) % p
             return np.full(self.size, value, dtype=np.int64)
         if expr.is_Add:
@@ -84,7 +84,7 @@ class _FieldPoint:
         base, exponent = expr.args
         if exponent.is_Integer:
             return self._power(self(base), int(exponent))
-        if exponent.is_Rational:
+        if isinstance(exponent, sp.Rational):
             order = (self.prime - 1) // 2
             value = self(base)
             self.good &= self._raised(value, order) == 1

@@ -115,10 +115,10 @@ def reduced_rows(matrix: sp.Matrix) -> tuple[sp.Matrix, list[int]]:
     different from zero, and what counts as zero is zero.
     """
     if all(entry.is_Rational for entry in matrix):
-        reduced, leading = DomainMatrix.from_Matrix(matrix).to_field().rref()
-        return reduced.to_Matrix()[: len(leading), :], list(leading)
+        reduced, pivots = DomainMatrix.from_Matrix(matrix).to_field().rref()
+        return reduced.to_Matrix()[: len(pivots), :], list(pivots)
     rows = [list(row) for row in matrix.tolist()]
-    leading, done = [], 0
+    leading, done = list[int](), 0
     for column in range(matrix.cols):
         rows[done:] = [
             [*row[:column], tidy(row[column]), *row[column + 1 :]] for row in rows[done:]
@@ -153,10 +153,11 @@ def tidy(expr: sp.Expr) -> sp.Expr:
 
 
 def _primitive(row: Sequence[sp.Expr]) -> list[sp.Expr]:
-    if not all(entry.is_Rational for entry in row):
+    rationals = [entry for entry in row if isinstance(entry, sp.Rational)]
+    if len(rationals) < len(row):
         return list(row)
-    scale = math.lcm(*[int(entry.q) for entry in row])
-    integers = [entry * scale for entry in row]
+    scale = math.lcm(*[int(entry.q) for entry in rationals])
+    integers = [entry * scale for entry in rationals]
     divisor = math.gcd(*[int(entry) for entry in integers]) or 1
     first = next((entry for entry in integers if entry != 0), sp.Integer(1))
     return [entry / divisor * (1 if first > 0 else -1) for entry in integers]

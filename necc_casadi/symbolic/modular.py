@@ -15,7 +15,7 @@ from necc_casadi.symbolic.finite_field import PRIMES, Residues
 __all__ = ["null_basis", "nullspace", "pivots", "rank", "rational_rows"]
 
 
-def _table(matrix: Residues, prime: int) -> Any:
+def _table(matrix: Residues, prime: int) -> flint.nmod_mat:
     rows, columns = matrix.shape
     return flint.nmod_mat(rows, columns, matrix.ravel().tolist(), prime)
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import flint
 import numpy as np
 import sympy as sp
@@ -14,7 +12,7 @@ from necc_casadi.symbolic.finite_field import Residues, values
 __all__ = ["as_balls", "certain_rank", "observability_matrix", "residues"]
 
 
-def observability_matrix(A: Any, output: Any, prime: int) -> Residues:
+def observability_matrix(A: flint.nmod_mat, output: flint.nmod_mat, prime: int) -> Residues:
     """Independent rows that span those of output·Aᵏ, k = 0, 1, …."""
     span, size = _reduced(output, prime)
     while True:
@@ -27,15 +25,15 @@ def observability_matrix(A: Any, output: Any, prime: int) -> Residues:
         span, size = larger, rank
 
 
-def as_balls(matrix: sp.Matrix) -> Any:
+def as_balls(matrix: sp.Matrix) -> flint.arb_mat:
     """The matrix in ball arithmetic."""
-    known: dict[sp.Expr, Any] = {}
+    known: dict[sp.Expr, flint.arb] = {}
     return flint.arb_mat(matrix.rows, matrix.cols, [ball(e, known) for e in matrix])
 
 
-def certain_rank(A: Any, output: Any) -> int:
+def certain_rank(A: flint.arb_mat, output: flint.arb_mat) -> int:
     """Number of rows output·Aᵏ that are certainly independent, by elimination with balls."""
-    basis: list[tuple[int, list[Any]]] = []
+    basis: list[tuple[int, list[flint.arb]]] = []
     block = output.tolist()
     while block:
         fresh = []
@@ -51,7 +49,7 @@ def certain_rank(A: Any, output: Any) -> int:
     return len(basis)
 
 
-def _eliminated(row: list[Any], basis: list[tuple[int, list[Any]]]) -> list[Any]:
+def _eliminated(row: list[flint.arb], basis: list[tuple[int, list[flint.arb]]]) -> list[flint.arb]:
     for column, pivot_row in basis:
         factor = row[column]
         if not factor.is_zero():
@@ -60,14 +58,14 @@ def _eliminated(row: list[Any], basis: list[tuple[int, list[Any]]]) -> list[Any]
     return row
 
 
-def _reduced(matrix: Any, prime: int) -> tuple[Any, int]:
+def _reduced(matrix: flint.nmod_mat, prime: int) -> tuple[flint.nmod_mat, int]:
     """Nonzero rows of the reduced echelon form, and their number."""
     reduced, size = matrix.rref()
     rows = reduced.tolist()[:size]
     return flint.nmod_mat(size, matrix.ncols(), [int(v) for row in rows for v in row], prime), size
 
 
-def residues(matrix: sp.Matrix, prime: int) -> Any:
+def residues(matrix: sp.Matrix, prime: int) -> flint.nmod_mat:
     """The matrix at a random point modulo `prime`."""
     table = values(list(matrix), 1, prime=prime)[0]
     return flint.nmod_mat(matrix.rows, matrix.cols, [int(v) for v in table], prime)

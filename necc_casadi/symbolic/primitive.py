@@ -54,13 +54,19 @@ def _rarely_elementary(f: sp.Expr, s: sp.Symbol) -> bool:
 def _with_secants(f: sp.Expr) -> sp.Expr:
     """1/cos and 1/sin as sec and csc, for which sympy has rules."""
     for function, reciprocal in ((sp.cos, sp.sec), (sp.sin, sp.csc)):
-        f = f.replace(
-            lambda e, function=function: (
-                e.is_Pow and isinstance(e.base, function) and e.exp.is_Integer and e.exp < 0
-            ),
-            lambda e, reciprocal=reciprocal: reciprocal(e.base.args[0]) ** -e.exp,
-        )
+        f = _with_reciprocal(f, function, reciprocal)
     return f
+
+
+def _with_reciprocal(
+    f: sp.Expr, function: type[sp.Function], reciprocal: type[sp.Function]
+) -> sp.Expr:
+    def divides(e: sp.Expr) -> bool:
+        if not (isinstance(e, sp.Pow) and isinstance(e.base, function)):
+            return False
+        return e.exp.is_Integer and bool(e.exp < 0)
+
+    return f.replace(divides, lambda e: reciprocal(e.base.args[0]) ** -e.exp)
 
 
 def _rational_primitive(f: sp.Expr, s: sp.Symbol) -> sp.Expr | None:

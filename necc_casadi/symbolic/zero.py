@@ -79,8 +79,8 @@ def is_zero(expr: sp.Expr) -> bool | None:
     if expr == 0:
         return True
     if not expr.free_symbols:
-        value = sign(expr)
-        return None if value is None else value == 0
+        known = sign(expr)
+        return None if known is None else known == 0
     for seed in range(PROBES):
         value = _probe(expr.subs(random_point(expr.free_symbols, seed)))
         if value is None or not is_small(sp.im(value)):
@@ -124,7 +124,7 @@ def _whole_angles(expr: sp.Expr) -> sp.Expr:
     arguments = [f.args[0] for f in expr.atoms(sp.sin, sp.cos, sp.exp)]
     terms = [t for a in arguments for t in sp.Add.make_args(sp.expand(a))]
     factors = [t.as_coeff_Mul()[0] for t in terms]
-    scale = math.lcm(*[int(f.q) for f in factors if f.is_Rational])
+    scale = math.lcm(*[int(f.q) for f in factors if isinstance(f, sp.Rational)])
     if scale == 1:
         return expr.replace(
             lambda e: isinstance(e, (sp.sin, sp.cos, sp.exp)),

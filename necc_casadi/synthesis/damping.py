@@ -1,4 +1,7 @@
-"""Damping injection v = −D Gᵀ∂V/∂x, v_c = −Dc Gcᵀ∂V/∂ξ (Lemma 1): how large D and Dc should be."""
+"""How large the damping of Lemma EnergyCasimirControl should be.
+
+Damping injection is v = −D Gᵀ∂V/∂x, v_c = −Dc Gcᵀ∂V/∂ξ.
+"""
 
 from __future__ import annotations
 

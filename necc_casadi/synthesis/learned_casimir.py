@@ -2,7 +2,8 @@
 
 eq. NonParameterizedCostMinimization: Σ ‖∇C_θ(zᵢ)ᵀ(Jcl − Rcl)(zᵢ)‖² over samples of the domain joins
 the objective. C_θ is then a Casimir only approximately: V̇ ≤ 0 is not implied, and no certificate
-is claimed from it. What is reported is the residual on points that it was not trained on.
+is claimed from it (docs/theory.md#learned-casimirs). What is reported is the residual on points
+that it was not trained on.
 """
 
 from __future__ import annotations
@@ -68,7 +69,7 @@ def casimir_residual(
     evaluate = ca.Function("both", [z], [gradient, terms.M(z)])
     shares = []
     for point in _samples(scales, z_star, _TESTED, seed + 1_000_003):
-        slope, M = (np.asarray(v, float) for v in evaluate(point))
+        slope, M = (np.asarray(v, float) for v in evaluate.call([point]))
         size = np.linalg.norm(slope) * np.linalg.norm(M, 2)
         shares.append(float(np.linalg.norm(M.T @ slope) / size) if size > 0 else 0.0)
     return Residual(float(np.mean(shares)), float(np.max(shares)), len(shares))

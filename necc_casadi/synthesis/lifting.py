@@ -3,6 +3,10 @@
 V depends on the weights θ, at z*, only through value, gradient and Hessian of each network at its
 input there. With these jets y as variables of their own, ∇V(z*) and ∇²V(z*) are small expressions
 that do not grow with the networks: V with each network replaced by its Taylor polynomial.
+
+References
+----------
+Albersmeyer and Diehl (2010), lifted Newton methods.
 """
 
 from __future__ import annotations
@@ -89,7 +93,7 @@ class Lifting:
 
         hc, c = jet("hc", self.xi), self.terms.c(z_star)
         betas = [jet(f"beta{i + 1}", c[i]) for i in range(len(form.betas))]
-        k = jet("k", sum(beta.y[0] for beta in betas) if betas else c)
+        k = jet("k", sum((beta.y[0] for beta in betas), ca.SX(0)) if betas else c)
         jets = [hc, k, *betas]
         if form.phi is not None:
             energy = self.terms.H(ca.SX(self.x_star)) + hc.y[0]
@@ -102,7 +106,8 @@ class Lifting:
         betas = rest[: len(self.form.betas)]
 
         def casimir(c: ca.SX) -> ca.SX:
-            return k.model(sum(b.model(c[i]) for i, b in enumerate(betas)) if betas else c)
+            terms = (b.model(c[i]) for i, b in enumerate(betas))
+            return k.model(sum(terms, ca.SX(0)) if betas else c)
 
         def outer(energy: ca.SX, C: ca.SX) -> ca.SX:
             phi = self.form.phi
@@ -112,7 +117,8 @@ class Lifting:
         V = value(self.terms, z, hc.model, casimir, outer)
         N, g = ca.hessian(V, z)
         at_target = ca.vertcat(ca.SX(self.x_star), self.xi)
-        return tuple(ca.substitute([g, N], [z], [at_target]))
+        gradient, hessian = ca.substitute([g, N], [z], [at_target])
+        return gradient, hessian
 
     def _units(self) -> tuple[Vector, Vector]:
         """Weights = σ∘ŵ + τ: the networks see inputs and energies of order one."""
@@ -155,7 +161,7 @@ class Lifting:
 
     def at(self, small: Vector) -> tuple[Vector, Vector]:
         """∇V(z*) (n + nc,) and ∇²V(z*) for numeric lifted variables."""
-        g, N = self.gradient_hessian(small)
+        g, N = self.gradient_hessian.call([small])
         return np.asarray(g, float).ravel(), np.asarray(N, float)
 
     def loss(self, w: Vector, xi: Vector, a: float) -> float:

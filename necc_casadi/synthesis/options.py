@@ -26,7 +26,15 @@ SHAPES = ("none", "regulariser", "level")
 
 @dataclass(frozen=True)
 class Options:
-    """What a user may choose about a design; None means that the design chooses."""
+    """What a user may choose about a design; None means that the design chooses.
+
+    Examples
+    --------
+    >>> from necc_casadi import Options
+    >>> options = Options(hidden_k=(32, 32), starts=3)
+    >>> options.activation, options.a is None
+    ('tanh', True)
+    """
 
     hidden_k: tuple[int, ...] = (64,)
     hidden_h: tuple[int, ...] = (32,)
@@ -49,7 +57,29 @@ class Options:
 
 
 def paper_options(m: int) -> Options:
-    """The published form (Section IV): plain tanh MLPs, Φ = H + Hc + C, a = 0.5, D = 5, Dc = 6."""
+    """The published form (Section IV): plain tanh MLPs, Φ = H + Hc + C, a = 0.5, D = 5, Dc = 6.
+
+    Parameters
+    ----------
+    m
+        Number of inputs.
+
+    Returns
+    -------
+    Options
+        D and Dc are m × m.
+
+    References
+    ----------
+    Xu, Zakwan and Ferrari-Trecate (2022).
+
+    Examples
+    --------
+    >>> from necc_casadi import paper_options
+    >>> options = paper_options(1)
+    >>> options.hidden_k, options.hidden_h, options.a, options.D
+    ((64,), (32,), 0.5, array([[5.]]))
+    """
     return Options(
         quadratic=False,
         casimir_form="sum",

@@ -8,7 +8,8 @@ and ReLU smoothed,
 
     ReLU((1/N) Σ ‖zᵢ − z*‖² − γ ΔV(zᵢ)),    ReLU(v) ≈ (v + √(v² + δ²))/2.
 
-As published, with V(zᵢ) in place of ΔV(zᵢ), an offset of V would minimise it.
+As published, with V(zᵢ) in place of ΔV(zᵢ), an offset of V would minimise it
+(docs/theory.md#regulariser-without-offset).
 
 *level*: the part of the domain below a level c that no boundary point lies below,
 
@@ -28,6 +29,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 import casadi as ca
 import numpy as np
@@ -48,6 +50,9 @@ __all__ = [
     "moving_weights",
     "sharper",
 ]
+
+
+_Symbols = TypeVar("_Symbols", ca.MX, ca.SX)
 
 
 #: δ of the smooth ReLU of the regulariser; its argument is of order one.
@@ -154,7 +159,7 @@ class Shaping:
             """One entry of `row` in natural units, (S,), and its slopes, (S, moving)."""
             S = len(offsets)
             both = [np.repeat(v[:, None], S, axis=1) for v in (weights, z_star)]
-            values, slopes = row.map(S)(*both, offsets.T, directions.T)
+            values, slopes = row.map(S).call([*both, offsets.T, directions.T])
             u = np.asarray(values, float)[kind] / self.energy
             A = np.asarray(slopes, float).reshape(3, S, moving.size)[kind] / self.energy
             poles = ~(np.isfinite(u) & np.isfinite(A).all(axis=1))
@@ -291,12 +296,18 @@ def _row(terms: Terms, form: Form, moving: npt.NDArray[np.int_]) -> ca.Function:
     V = value(terms, z, form.controller_energy(w), form.casimir(w), form.outer(w))
     slope = ca.jtimes(V, z, d)
     jet = ca.Function("jet", [w, z, d], [V, slope, ca.jtimes(slope, z, d)])
-    here, first, second = jet(w, z_star + o, d)
-    both = ca.vertcat(here - jet(w, z_star, d)[0], first, second)
-    plain = ca.Function("plain", [w, z_star, o, d], [both])
-    scalars = form.size <= _SCALAR_WEIGHTS
-    kind, plain = (ca.SX, plain.expand()) if scalars else (ca.MX, plain)
-    symbols = [kind.sym(s.name(), s.numel()) for s in (w, z_star, o, d)]
+    here, first, second = jet.call([w, z_star + o, d])
+    both = ca.vertcat(here - jet.call([w, z_star, d])[0], first, second)
+    symbols = [w, z_star, o, d]
+    plain = ca.Function("plain", symbols, [both])
+    if form.size > _SCALAR_WEIGHTS:
+        return _with_slopes(plain, symbols, moving)
+    return _with_slopes(plain.expand(), [ca.SX.sym(s.name(), s.numel()) for s in symbols], moving)
+
+
+def _with_slopes(
+    plain: ca.Function, symbols: list[_Symbols], moving: npt.NDArray[np.int_]
+) -> ca.Function:
     u = plain(*symbols)
     slopes = ca.densify(ca.jacobian(u, symbols[0])[:, moving.tolist()])
     return ca.Function("row", symbols, [u, slopes])
@@ -319,8 +330,9 @@ class AffineRows:
         terms = ca.Function("shape", [u, level], [objective, shaping.margins(u, level), second])
         selection = ca.DM.eye(w.numel())[moving.tolist(), :]
         self.parameters = ca.vertcat(ca.vec(A), b)
-        self.objective, self.margins, second = terms(A @ (selection @ w) + b, c)
-        weighted = ca.repmat(second, 1, moving.size) * A
+        rows = A @ (selection @ w) + b
+        self.objective, self.margins, bends = terms.call([rows, c])
+        weighted = ca.repmat(bends, 1, moving.size) * A
         self.curvature = selection.T @ (A.T @ weighted) @ selection
         slopes = ca.jacobian(shaping.margins(u, level), ca.vertcat(level, u))
         at_level, at_rows = ca.DM(slopes)[:, 0], ca.sparsify(ca.DM(slopes)[:, 1:])

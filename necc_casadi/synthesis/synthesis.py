@@ -45,6 +45,30 @@ def design(
         Form of the networks and what to ask of them.
     report
         Called with the outcome of each start of the solver.
+
+    Returns
+    -------
+    Design
+        Of the best start, with what it reached: where the solver fell short, ε says so.
+
+    Raises
+    ------
+    OptionError
+        ``usage``, where a shape is asked of the form K(Σ βᵢ(cᵢ)).
+
+    References
+    ----------
+    Xu, Zakwan and Ferrari-Trecate (2022); Wächter and Biegler (2006), IPOPT.
+
+    Examples
+    --------
+    >>> from necc_casadi import design, find_casimirs, judge, load_model, parse_target
+    >>> loop = load_model("pendulum.py").loop
+    >>> x_star = parse_target(loop.plant, "pi/4")
+    >>> casimirs = find_casimirs(loop)
+    >>> made = design(loop, casimirs, judge(loop, casimirs, x_star), x_star)
+    >>> float(max(abs(made.z_bar - made.z_star))) < 1e-9
+    True
     """
     options = options or Options()
     plan = make_plan(loop, casimirs, verdict, x_star, options)

@@ -19,11 +19,16 @@ random initialisation; hidden layers cost more than output layers, in which jets
 that the Gauss–Newton Hessian is accurate.
 
 *Soft form*, for targets or curvatures out of reach: min s + t subject to ∇V(z*) = s w, wᵀw ≤ 1,
-∇²V(z*) + (t − a)I = LLᵀ, s, t ≥ 0. Its minimum is the minimum of ε exactly.
+∇²V(z*) + (t − a)I = LLᵀ, s, t ≥ 0. Its minimum is the minimum of ε exactly
+(docs/theory.md#smooth-loss).
 
 *Shaped form* (shaping.py). The hard form with a heavy objective over samples of the
 domain, in rows u = A m + b that are affine in the weights m that move; the hidden layers are fixed
 at their start and ξ* is held to its own, around which the samples lie. The Hessian is exact.
+
+References
+----------
+Wächter and Biegler (2006), IPOPT. Kulis, Sustik and Dhillon (2009), the log-det divergence.
 """
 
 from __future__ import annotations
@@ -239,7 +244,7 @@ class _Solver:
         n_lifted, nc = lifting.small.numel(), lifting.terms.nc
         s, w = ca.MX.sym("s", self.n_small), ca.MX.sym("w", lifting.form.size)
         start = ca.MX.sym("start", nc + lifting.form.size)
-        f, equal, unequal = core(s)
+        f, equal, unequal = core.call([s])
         weights = ca.DM(lifting.sigma) * w + ca.DM(lifting.tau)
         if program.mode == "hard":
             f = f + self._proximity(s, w, start)

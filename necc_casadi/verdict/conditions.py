@@ -1,4 +1,4 @@
-"""The conditions of assignability at a target: exact derivatives, gradient, curvature.
+"""What eq. LocalMinimumCondition asks of a target: exact derivatives, gradient, curvature.
 
 With N = ∇ₓc(x*, ξ*) and W a basis of ker Nᵀ: ∇H + Nλ = 0 and Wᵀ∇²ₓ(H + Σ λᵢcᵢ)W ≻ 0.
 """
@@ -87,7 +87,7 @@ class LocalConditions:
 
     @property
     def reason(self) -> str:
-        """Contract word for the first condition that fails, before completeness is considered."""
+        """Word for the first condition that fails (docs/contract.md#json), before completeness."""
         if self.gradient is not True:
             return "undecided" if self.gradient is None else "invisible_gradient"
         kind = "undecided" if self.best is None else self.best.kind
@@ -169,7 +169,7 @@ def _multipliers(N: sp.Matrix, gradient: sp.Matrix) -> tuple[list[sp.Expr] | Non
     reduced, pivots = reduced_rows(augmented)
     if r in pivots:
         return None, []
-    lam = [sp.Integer(0)] * r
+    lam: list[sp.Expr] = [sp.Integer(0)] * r
     for i, p in enumerate(pivots):
         lam[p] = reduced[i, r]
     basis = kernel(N.extract(rows, list(range(r)))) if rows else sp.eye(r)

@@ -34,7 +34,9 @@ class Curvature:
     value: sp.Expr | None = None  # curvature along `direction`
 
 
-def best_curvature(Q0: sp.Matrix, directions: Sequence[sp.Matrix], metric: sp.Matrix) -> Curvature:
+def best_curvature(
+    Q0: sp.Matrix, directions: Sequence[sp.Matrix], metric: sp.MatrixBase
+) -> Curvature:
     """The best definiteness of Q(τ) = Q₀ + Σ τᵢQᵢ over τ.
 
     Parameters
@@ -55,7 +57,7 @@ def best_curvature(Q0: sp.Matrix, directions: Sequence[sp.Matrix], metric: sp.Ma
     return _over_family(Q0, directions, whiten)
 
 
-def _along(Q: sp.Matrix, vector: sp.Matrix | None) -> sp.Expr | None:
+def _along(Q: sp.Matrix, vector: sp.MatrixBase | None) -> sp.Expr | None:
     return None if vector is None else (vector.T * Q * vector)[0] / (vector.T * vector)[0]
 
 
@@ -96,7 +98,9 @@ def _vector_obstacle(
     size = Q0.rows
     stacked = sp.Matrix.vstack(*[sp.Matrix(Q) for Q in directions])
     shared = kernel(stacked)
-    candidates = [sp.Matrix([int(k == i) for k in range(size)]) for i in range(size)]
+    candidates: list[sp.MatrixBase] = [
+        sp.Matrix([int(k == i) for k in range(size)]) for i in range(size)
+    ]
     if shared.cols:
         kind, vector = definiteness(shared.T * sp.Matrix(Q0) * shared)
         if kind in ("negative", "flat") and vector is not None:

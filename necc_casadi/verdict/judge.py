@@ -50,8 +50,29 @@ def judge(loop: ClosedLoop, casimirs: Casimirs, x_star: Mapping[sp.Symbol, sp.Ex
 
     Parameters
     ----------
+    loop, casimirs
+        Closed loop and its closed-form Casimirs.
     x_star
         Exact value of every plant state.
+
+    Returns
+    -------
+    Verdict
+        True and False are proved, None is undecided; a refusal is a value, not an exception.
+
+    References
+    ----------
+    Finsler (1937). docs/theory.md#verdict has statement and proof.
+
+    Examples
+    --------
+    >>> from necc_casadi import find_casimirs, judge, load_model, parse_target
+    >>> loop = load_model("pendulum.py").loop
+    >>> verdict = judge(loop, find_casimirs(loop), parse_target(loop.plant, "pi/4"))
+    >>> verdict.assignable, verdict.reason, round(verdict.a_max, 6)
+    (True, 'ok', 1.0)
+    >>> judge(loop, find_casimirs(loop), parse_target(loop.plant, "0,1")).reason
+    'not_an_equilibrium'
     """
     point = {s: sp.sympify(x_star[s]) for s in loop.plant.x}
     balance = is_equilibrium(loop, point)
@@ -106,7 +127,7 @@ def _verdict(
 
 def _all_lambdas(data: TargetDerivatives, local: LocalConditions) -> tuple[sp.Expr, ...]:
     """λ for all Casimirs in hand: 0 for those that are not finite at the target."""
-    full = [sp.Integer(0)] * data.count
+    full: list[sp.Expr] = [sp.Integer(0)] * data.count
     for index, value in zip(data.used, local.lam or (), strict=False):
         full[index] = value
     return tuple(full)
@@ -168,7 +189,7 @@ def _best_xi(data: TargetDerivatives) -> tuple[LocalConditions, tuple[sp.Expr, .
             return best  # the ceiling does not depend on ξ*
         if best is None or _merit(local) > _merit(best[0]):
             best = (local, xi_star)
-    step = sp.Rational(1, 2)
+    step: sp.Expr = sp.Rational(1, 2)
     for _ in range(_XI_ROUNDS if best is not None and best[0].reason == "ok" else 0):
         better = _neighbour(data, best, step) if best is not None else None
         best, step = (better, step) if better is not None else (best, step / 4)
@@ -202,10 +223,14 @@ def _merit(local: LocalConditions) -> tuple[int, float]:
 def _candidates(data: TargetDerivatives) -> list[tuple[sp.Expr, ...]]:
     """Simple values of ξ first, then random rationals."""
     nc = len(data.xi)
-    simple = [(sp.Integer(0),) * nc, (sp.Integer(1),) * nc, (sp.Rational(1, 2),) * nc]
+    simple: list[tuple[sp.Expr, ...]] = [
+        (sp.Integer(0),) * nc,
+        (sp.Integer(1),) * nc,
+        (sp.Rational(1, 2),) * nc,
+    ]
     spread = [tuple(random_point(data.xi, seed)[s] for s in data.xi) for seed in range(_XI_TRIES)]
     short = [tuple(sp.Rational(round(float(v) * 8), 8) for v in values) for values in spread]
-    return simple + short
+    return [*simple, *short]
 
 
 def _refused_for_all_xi(
@@ -234,7 +259,7 @@ def _refused_for_all_xi(
             w = never[:, j]
             value = (w.T * data.hess_H * w)[0] / (w.T * w)[0]
             if sign(value) == wanted:
-                unit = column([int(i == j) for i in range(never.cols)])
+                unit = column([sp.Integer(i == j) for i in range(never.cols)])
                 worst = Curvature(kind, (), None, unit, value)
                 local = LocalConditions(True, never, slope, None, best=worst)
                 return local.reason, local

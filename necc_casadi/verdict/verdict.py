@@ -11,10 +11,19 @@ __all__ = ["Verdict"]
 
 @dataclass(frozen=True, eq=False)
 class Verdict:
-    """Whether a target is assignable, why, and what the structure can reach there."""
+    """Whether a target is assignable, why, and what the structure can reach there.
+
+    Examples
+    --------
+    >>> from necc_casadi import find_casimirs, judge, load_model, parse_target
+    >>> loop = load_model("pendulum.py").loop
+    >>> verdict = judge(loop, find_casimirs(loop), parse_target(loop.plant, "pi"))
+    >>> verdict.assignable, verdict.stability, verdict.lam
+    (True, 'asymptotic', (0,))
+    """
 
     assignable: bool | None  # None: undecided
-    reason: str  # contract word: ok, not_an_equilibrium, invisible_gradient, …
+    reason: str  # a word of docs/contract.md#json: ok, invisible_gradient, …
     explanation: str  # plain words that tell an engineer what to do
     lam: tuple[sp.Expr, ...] | None  # (r,) λ with ∇H + Nλ = 0
     xi_star: tuple[sp.Expr, ...] | None  # (nc,) an admissible ξ*; None: any works

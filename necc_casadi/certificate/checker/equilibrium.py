@@ -28,8 +28,8 @@ def check_equilibrium(evidence: Evidence) -> Checked:
     With g = ‖∇V(z*)‖ < μr, eq. ErrorUpperBound holds with μ, which is proved, for its a.
     """
     c, model = evidence.certificate, evidence.model
-    mu, radius, bound = c.mu, c.radius, c.bound_rigorous
-    if mu is None or radius is None or bound is None or c.enclosure is None:
+    mu, radius, bound, enclosure = c.mu, c.radius, c.bound_rigorous, c.enclosure
+    if mu is None or radius is None or bound is None or enclosure is None:
         return Checked("equilibrium", False, "no equilibrium is claimed")
     with ctx.workprec(_BITS):
         target = model.target_balls()
@@ -53,7 +53,7 @@ def check_equilibrium(evidence: Evidence) -> Checked:
             ("‖∇V(z*)‖/μ is at most the distance claimed", lambda: bool(g / mu <= bound)),
             (
                 "z̄ is as near to the claimed point as is claimed",
-                lambda: bool(_residual(evidence) / mu <= c.enclosure),
+                lambda: bool(_residual(evidence) / mu <= enclosure),
             ),
             ("the claimed z̄ is in the ball", lambda: bool(near < radius)),
             ("∇²V ⪰ μI on the cube around the ball", convex),

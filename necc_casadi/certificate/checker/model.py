@@ -74,11 +74,14 @@ class StoredDesign:
         """The domain; target ± 2 where the model names none."""
         result = []
         for name, at in zip(self.states, self.target_balls(), strict=True):
-            lo, hi = self.domain.get(name, (None, None))
-            result.append((at - 2, at + 2) if lo is None else (evaluate(lo, {}), evaluate(hi, {})))
+            sides = self.domain.get(name)
+            lo, hi = [at - 2, at + 2] if sides is None else [evaluate(v, {}) for v in sides]
+            result.append((lo, hi))
         return result
 
-    def in_domain(self, states: Sequence[int], sides: Iterable[tuple[arb, arb]]) -> bool:
+    def in_domain(
+        self, states: Sequence[int], sides: Iterable[tuple[arb | float, arb | float]]
+    ) -> bool:
         """Whether a box of some of the states, by ends that are numbers or balls, is inside."""
         return all(
             bool(self.bounds[i][0] <= lo) and bool(hi <= self.bounds[i][1])

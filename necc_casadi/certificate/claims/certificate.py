@@ -20,7 +20,21 @@ __all__ = ["Certificate"]
 class Certificate:
     """What is proved about a design, for the continuous-time, unsaturated loop.
 
-    Every claim is about the V of the stored weights, read as exact binary numbers.
+    Every claim is about the V of the stored weights, read as exact binary numbers
+    (docs/certificate-format.md).
+
+    Examples
+    --------
+    >>> from necc_casadi import certify, design, find_casimirs, judge, load_model, parse_target
+    >>> loop = load_model("pendulum.py").loop
+    >>> x_star = parse_target(loop.plant, "pi/4")
+    >>> casimirs = find_casimirs(loop)
+    >>> made = design(loop, casimirs, judge(loop, casimirs, x_star), x_star)
+    >>> certificate = certify(made, region=False)
+    >>> [claim.name for claim in certificate.claims if claim.holds][:3]
+    ['equilibrium', 'casimir', 'structure']
+    >>> certificate.from_json(certificate.to_json()) == certificate
+    True
     """
 
     design_hash: str  # SHA-256 of design.json

@@ -93,11 +93,11 @@ def _structure(design: Design) -> Claim:
     return Claim("structure", True, statements.STRUCTURE)
 
 
-def _is_skew(J: sp.Matrix) -> bool:
+def _is_skew(J: sp.MatrixBase) -> bool:
     return all(is_zero(entry) for entry in J + J.T)
 
 
-def _is_dissipative(R: sp.Matrix) -> bool:
+def _is_dissipative(R: sp.MatrixBase) -> bool:
     symmetric = all(is_zero(entry) for entry in R - R.T)
     return symmetric and is_positive_semidefinite(sp.Matrix(R)) is True
 

@@ -81,15 +81,15 @@ def ball(lo: float, hi: float) -> arb:
 
 def evaluate(expr: sp.Expr, values: Mapping[sp.Symbol, arb]) -> arb:
     """An expression with balls for its symbols."""
-    if expr in values:
+    if isinstance(expr, sp.Symbol):
         return values[expr]
-    if expr.is_Rational:
+    if isinstance(expr, sp.Rational):
         return arb(fmpq(int(expr.p), int(expr.q)))
     if expr == sp.pi:
         return arb.pi()
     if expr == sp.E:
         return arb.const_e()
-    if expr.is_Pow:
+    if isinstance(expr, sp.Pow):
         return _power(evaluate(expr.base, values), expr.exp, values)
     parts = [evaluate(a, values) for a in expr.args]
     if expr.is_Add:

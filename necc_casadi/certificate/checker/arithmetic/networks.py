@@ -290,16 +290,17 @@ class Net:
         f0, f1, f2, f3 = self.activation(row[0])
         layout, full = self._layout, len(row) == self._layout.at[4]
         if self.d == 1:
-            g, H = row[1], row[2]
-            f2g = f2 * g
-            result = [f0, f1 * g, f1 * H + f2g * g]
-            return [*result, f1 * row[3] + 3 * f2g * H + f3 * g * g * g] if full else result
+            slope, bend = row[1], row[2]
+            f2g = f2 * slope
+            result = [f0, f1 * slope, f1 * bend + f2g * slope]
+            third = f1 * row[3] + 3 * f2g * bend + f3 * slope * slope * slope if full else None
+            return result if third is None else [*result, third]
         g, H = row[1 : layout.at[2]], row[layout.at[2] : layout.at[3]]
         result = [f0, *(f1 * x for x in g)]
         result += [f1 * h + f2 * g[i] * g[j] for h, (i, j) in zip(H, layout.pairs, strict=True)]
         if full:
-            third = zip(row[layout.at[3] :], layout.triples, layout.pairs_in, strict=True)
-            for T, (i, j, k), (ij, ik, jk) in third:
+            packed = zip(row[layout.at[3] :], layout.triples, layout.pairs_in, strict=True)
+            for T, (i, j, k), (ij, ik, jk) in packed:
                 bent = H[ij] * g[k] + H[ik] * g[j] + H[jk] * g[i]
                 result.append(f1 * T + f2 * bent + f3 * g[i] * g[j] * g[k])
         return result

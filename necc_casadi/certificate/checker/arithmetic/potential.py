@@ -8,7 +8,7 @@ Results are kept per box, since neighbouring cells ask for the same ones.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import sympy as sp
 from flint import arb, arb_mat
@@ -36,6 +36,14 @@ class _Term:
         if key not in self._known:
             self._known[key] = evaluate(self.expr, {v: ball(*box[k]) for k, v in self.used})
         return self._known[key]
+
+
+class _Jet(NamedTuple):
+    """A function over a box."""
+
+    value: arb
+    grad: list[arb]
+    hess: list[list[arb]]
 
 
 class Energy:
@@ -137,24 +145,23 @@ class Energy:
             grad[self.d - self.model.nc + i] += g
         C, inner, outer, _ = self._casimir(box)
         slope = [
-            sum((outer[a] * s[1][i] for a, s in enumerate(inner)), arb(0)) for i in range(self.d)
+            sum((slope * c.grad[i] for slope, c in zip(outer, inner, strict=True)), arb(0))
+            for i in range(self.d)
         ]
         return H(box) + hc, grad, C, slope
 
-    def _casimir(
-        self, box: Box
-    ) -> tuple[arb, list[tuple[arb, list[arb], Any]], list[arb], dict[tuple[int, int], arb]]:
-        """K, its inner functions (value, gradient, Hessian), ∇K and ∇²K."""
+    def _casimir(self, box: Box) -> tuple[arb, list[_Jet], list[arb], dict[tuple[int, int], arb]]:
+        """K, its inner functions, ∇K and ∇²K."""
         inner = []
         for f, grad, hess in self._tables[1:]:
             rows = [[h(box) for h in row] for row in hess]
-            inner.append((f(box), [g(box) for g in grad], rows))
+            inner.append(_Jet(f(box), [g(box) for g in grad], rows))
         if self.betas:
             inner = [self._summed(inner)]
-        value, outer, curved = self.k(tuple(ends(s[0]) for s in inner))
+        value, outer, curved = self.k(tuple(ends(c.value) for c in inner))
         return value, inner, outer, curved
 
-    def _summed(self, inner: list[tuple[arb, list[arb], Any]]) -> tuple[arb, list[arb], Any]:
+    def _summed(self, inner: list[_Jet]) -> _Jet:
         """Σ βᵢ(cᵢ)."""
         total, grad = arb(0), [arb(0)] * self.d
         hess = [[arb(0)] * self.d for _ in range(self.d)]
@@ -165,7 +172,7 @@ class Energy:
             for i in range(self.d):
                 for j in range(self.d):
                     hess[i][j] = hess[i][j] + b1 * ddc[i][j] + curved[0, 0] * dc[i] * dc[j]
-        return total, grad, hess
+        return _Jet(total, grad, hess)
 
     def casimirs(self, box: Box) -> tuple[list[arb], list[list[arb]]]:
         """The Casimirs and their gradients over a box."""
@@ -190,7 +197,7 @@ class Energy:
                 for j in range(self.d):
                     part[i][j] = part[i][j] + outer[a] * ddc[i][j]
         for (a, b), w in weights.items():
-            self._add_outer(part, w, inner[a][1], inner[b][1], a != b)
+            self._add_outer(part, w, inner[a].grad, inner[b].grad, a != b)
         return arb_mat(total) if self.phi is None else self._through_phi(box, total, part)
 
     def hull(self, box: Box) -> list[list[arb]]:

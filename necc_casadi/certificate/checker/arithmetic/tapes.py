@@ -51,5 +51,5 @@ class Tape:
         # anything else by the one evaluator, on symbols in place of the arguments
         symbols = [sp.Dummy(real=True) if a.free_symbols else a for a in expr.args]
         plain = expr.func(*symbols)
-        named = [(s, k) for s, k in zip(symbols, places, strict=True) if s.is_Dummy]
+        named = [(s, k) for s, k in zip(symbols, places, strict=True) if isinstance(s, sp.Dummy)]
         return lambda known: evaluate(plain, {s: known[k] for s, k in named})

@@ -33,7 +33,7 @@ def hull(parts: Interval, boxes: int) -> Interval:
     return Interval(parts.lo.reshape(shape).min(1), parts.hi.reshape(shape).max(1))
 
 
-def matrix_enclosure(matrix: sp.Matrix, symbols: Sequence[sp.Symbol], Z: Interval) -> Interval:
+def matrix_enclosure(matrix: sp.MatrixBase, symbols: Sequence[sp.Symbol], Z: Interval) -> Interval:
     """A matrix of expressions over boxes (B, symbols), (B, rows, columns)."""
     variables = dict(zip(symbols, coordinates(Z), strict=True))
     with np.errstate(all="ignore"):

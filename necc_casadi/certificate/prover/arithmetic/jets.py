@@ -144,7 +144,7 @@ def chain(outer: Jet, inner: list[Jet]) -> Jet:
 
 def constant(expr: sp.Expr) -> Interval:
     """A real constant expression, as an interval of shape ()."""
-    if expr.is_Rational:
+    if isinstance(expr, sp.Rational):
         ball = arb(fmpq(int(expr.p), int(expr.q)))
         ends = [np.float64(float(end)) for end in (ball.lower(), ball.upper())]
         if ends[0] == ends[1]:
@@ -159,7 +159,7 @@ def constant(expr: sp.Expr) -> Interval:
         return reduce(lambda a, b: a + b, arguments)
     if expr.is_Mul:
         return reduce(lambda a, b: a * b, arguments)
-    if expr.is_Pow:
+    if isinstance(expr, sp.Pow):
         return _constant_power(arguments[0], expr.exp, arguments[1])
     return _SLOPES[type(expr)](arguments[0])[0]
 
@@ -176,7 +176,7 @@ def expression_jets(
     expressions: list[sp.Expr], variables: dict[sp.Symbol, Jet]
 ) -> list[Jet | Interval]:
     """Jets of sympy expressions, common subexpressions once; constants stay intervals."""
-    cache: dict[sp.Expr, Jet | Interval] = dict(variables)
+    cache: dict[sp.Expr, Jet | Interval] = dict(variables.items())
     return [_evaluate(expr, cache) for expr in expressions]
 
 
@@ -184,7 +184,7 @@ def expression_values(
     expressions: list[sp.Expr], variables: dict[sp.Symbol, Interval]
 ) -> list[Interval]:
     """Values of sympy expressions, common subexpressions once."""
-    cache: dict[sp.Expr, Jet | Interval] = dict(variables)
+    cache: dict[sp.Expr, Jet | Interval] = dict(variables.items())
     return [v for v in (_evaluate(e, cache) for e in expressions) if isinstance(v, Interval)]
 
 
@@ -195,7 +195,7 @@ def _evaluate(expr: sp.Expr, cache: dict[sp.Expr, Jet | Interval]) -> Jet | Inte
 
 
 def _combine(expr: sp.Expr, cache: dict[sp.Expr, Jet | Interval]) -> Jet | Interval:
-    if expr.is_Pow:
+    if isinstance(expr, sp.Pow):
         return _power(expr, cache)
     arguments = [_evaluate(a, cache) for a in expr.args]
     arguments.sort(key=lambda a: isinstance(a, Interval))  # jets first: they know how to combine
@@ -214,7 +214,7 @@ def _value(function: type[sp.Basic], v: Interval) -> Interval:
     return value
 
 
-def _power(expr: sp.Expr, cache: dict[sp.Expr, Jet | Interval]) -> Jet | Interval:
+def _power(expr: sp.Pow, cache: dict[sp.Expr, Jet | Interval]) -> Jet | Interval:
     base, exponent = expr.base, expr.exp
     if exponent.is_number:
         value, power = _evaluate(base, cache), constant(exponent)

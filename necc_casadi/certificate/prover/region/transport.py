@@ -47,8 +47,8 @@ _EASE = 1e-6
 class Transport:
     """dq = A(q)B(ξ)⁻¹dξ, in the scale η = A_H(ξ − ξ̄)."""
 
-    along: sp.Matrix  # A, r × nc
-    across: sp.Matrix  # B, nc × nc
+    along: sp.MatrixBase  # A, r × nc
+    across: sp.MatrixBase  # B, nc × nc
     q: Sequence[sp.Symbol]
     xi: Sequence[sp.Symbol]
     xi_bar: Vector  # (nc,)

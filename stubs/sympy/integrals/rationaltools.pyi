@@ -1,0 +1,3 @@
+from sympy import Expr, Symbol
+
+def ratint(f: Expr, s: Symbol) -> Expr: ...
