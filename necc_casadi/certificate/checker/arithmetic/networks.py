@@ -163,14 +163,14 @@ class Net:
         """
         if len(self.layers) != 2 or self.activation is not _tanh or self.linear is not None:
             return self(box)[2]
-        middle = [arb(m) for (m, _) in _middle(box)]
+        layout, middle = self._layout, [arb(m) for (m, _) in _middle(box)]
         steps = [ball(lo, hi) - m for (lo, hi), m in zip(box, middle, strict=True)]
         reach = [s.abs_upper() for s in steps]
         row = self._next(*self.layers[1], self._first(middle, 3))[0]
-        hess, third = row[self._at[2] : self._at[3]], row[self._at[3] :]
-        place = {key: n for n, key in enumerate(self._keys[3])}
+        hess, third = row[layout.at[2] : layout.at[3]], row[layout.at[3] :]
+        place = {key: n for n, key in enumerate(layout.keys[3])}
         result = {}
-        for (i, j), h in zip(self._pairs, hess, strict=True):
+        for (i, j), h in zip(layout.pairs, hess, strict=True):
             total = h
             for k, step in enumerate(steps):
                 a, b, c = sorted((i, j, k))
@@ -195,7 +195,7 @@ class Net:
 
         return {
             (i, j): [((k, n), bound(i, j, k, n)) for k in size for n in size]
-            for i, j in self._pairs
+            for i, j in self._layout.pairs
         }
 
     def _pieces(self, box: Box) -> list[Box]:

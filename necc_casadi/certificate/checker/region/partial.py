@@ -42,7 +42,8 @@ class FloorProof:
     def holds(self, box: Box) -> bool:
         """Whether F is below V_ee for s in the box (ds,), every e."""
         model, e = self.energy.model, [self.energy.variables[i] for i in self.gone]
-        if self.F is None:
+        F = self.F
+        if F is None:
             return True
         if model.form["phi"] is not None or model.form["betas"]:
             return False
@@ -61,7 +62,7 @@ class FloorProof:
         def above(cell: Box) -> bool:
             values = {v: ball(*side) for v, side in zip(used, cell, strict=True)}
             slopes, rest = (_evaluated(M, values) for M in (N, H))
-            return positive(slopes.transpose() * K * slopes + rest + below - self.F, 0)
+            return positive(slopes.transpose() * K * slopes + rest + below - F, 0)
 
         return by_bisection(cells, above, _ANGLES)
 
@@ -244,8 +245,8 @@ class LeafProof:
         for k, i in enumerate(self.reduced.s):
             box[i] = cell[k]
         for k, i in enumerate(self.reduced.e):
-            half = reach * self.reduced.widths[k]
-            box[i] = ends(cover.e[k] + half * ball(-1.0, 1.0))
+            swing = reach * self.reduced.widths[k] * ball(-1.0, 1.0)
+            box[i] = ends(cover.e[k] + swing)
         yield room, tuple(box)
 
 
@@ -285,9 +286,8 @@ class BoundProof:
 
     def _jointly(self, k: int, reach: arb) -> bool:
         """W + ½ reach² det A/det A₍ₖ₎ > c, the sum as one energy."""
-        minor = self.A.copy()
-        minor.row_del(k)
-        minor.col_del(k)
+        others = [j for j in range(self.A.rows) if j != k]
+        minor = self.A.extract(others, others)
         stiff = sp.cancel(sp.together(self.A.det() / minor.det()))
         half = sp.Rational(*float(reach.lower()).as_integer_ratio()) ** 2 / 2
         raised = Energy(self.energy.model, self.energy.active, half * stiff)

@@ -45,7 +45,7 @@ class Potential:
 
     design: Design
     resting: tuple[int, ...] = ()  # plant states that are held at 0; no Casimir depends on them
-    added: sp.Expr = sp.S.Zero  # to H, a function of the active states
+    added: sp.Expr | None = None  # to H, a function of the active states
 
     @cached_property
     def active(self) -> tuple[int, ...]:
@@ -56,7 +56,8 @@ class Potential:
     def energy(self) -> sp.Expr:
         """H with the resting states at 0, and what is added to it."""
         loop = self.design.loop
-        return loop.plant.H.subs({loop.z[i]: 0 for i in self.resting}) + self.added
+        energy = loop.plant.H.subs({loop.z[i]: 0 for i in self.resting})
+        return energy if self.added is None else energy + self.added
 
     def jet(self, Z: Interval) -> Jet:
         """V, ∇V and ∇²V in the active states over boxes (B, active), with S = (B,)."""

@@ -90,7 +90,8 @@ def periods(count: int) -> Interval:
 
 def _split(energy: sp.Expr, symbols: Sequence[sp.Symbol]) -> tuple[sp.Expr, sp.Expr]:
     """Terms of degree at most two, and the rest."""
-    quadratic, rest = sp.Integer(0), sp.Integer(0)
+    quadratic: sp.Expr = sp.Integer(0)
+    rest: sp.Expr = sp.Integer(0)
     for term in sp.Add.make_args(sp.expand(energy)):
         low = term.is_polynomial(*symbols) and sp.Poly(term, *symbols).total_degree() <= 2
         quadratic, rest = (quadratic + term, rest) if low else (quadratic, rest + term)
