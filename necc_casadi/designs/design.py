@@ -19,6 +19,7 @@ import sympy as sp
 from necc_casadi.arrays import Vector
 from necc_casadi.casimirs.momenta import find_momenta
 from necc_casadi.designs.layout import BROKEN, DESIGN_FORMAT, check_whole, from_dict, to_dict
+from necc_casadi.designs.natural import natural_parts
 from necc_casadi.designs.parts import Parts
 from necc_casadi.errors import OutputError
 from necc_casadi.files import write_text
@@ -54,7 +55,12 @@ class Design(Parts):
     @cached_property
     def domain(self) -> Domain:
         """The box of states (n + nc,) in which the design is looked at."""
-        return domain_of(self.loop, self.z_star)
+        return domain_of(self.loop, self.z_star, self.sizes.state)
+
+    @cached_property
+    def natural(self) -> Design:
+        """The same design in natural units, in which numbers are of order one."""
+        return self if self.units.are_ones else Design(**vars(natural_parts(self)))
 
     @cached_property
     def momenta(self) -> tuple[int, ...]:

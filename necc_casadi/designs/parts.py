@@ -13,6 +13,7 @@ from necc_casadi.casimirs.casimirs import Casimirs
 from necc_casadi.designs.outcome import Residual, Start
 from necc_casadi.lyapunov.parameterization import Form
 from necc_casadi.model.closed_loop import ClosedLoop
+from necc_casadi.model.sizes import Sizes
 from necc_casadi.verdict.verdict import Verdict
 
 __all__ = ["Parts"]
@@ -39,6 +40,9 @@ class Parts:
     Dc: Vector  # m × m
     a: float  # curvature asked of ∇²V(z*)
     a_requested: float
+    sizes: Sizes  # natural sizes at the target
+    units: Sizes  # powers of two near them, of the design in natural units
+    curvature: Vector  # (n + nc,) diagonal asked of ∇²V̂(z*), natural units: at least a S²/E
     seed: int
     starts: tuple[Start, ...] = ()
     learned: Residual | None = None  # of a learned Casimir; None: Casimirs in closed form

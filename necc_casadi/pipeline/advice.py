@@ -15,7 +15,7 @@ from necc_casadi.verdict.controller_structures import suggest_controllers
 __all__ = ["NOTED_LOSS", "SMALL_SHARE", "model_notes", "nearest_note", "structure_offers"]
 
 
-#: A design whose ε is above this gets a note with IPOPT's status and what to try.
+#: A design whose ε, in natural units, is above this gets a note: IPOPT's status, what to try.
 NOTED_LOSS = 1e-9
 
 
