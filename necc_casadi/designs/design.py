@@ -25,6 +25,7 @@ from necc_casadi.errors import OutputError
 from necc_casadi.files import write_text
 from necc_casadi.lyapunov.lyapunov import LyapunovFunction, make_terms
 from necc_casadi.model.domain import Domain, domain_of
+from necc_casadi.model.sizes import input_names
 
 __all__ = ["Design"]
 
@@ -56,6 +57,13 @@ class Design(Parts):
     def domain(self) -> Domain:
         """The box of states (n + nc,) in which the design is looked at."""
         return domain_of(self.loop, self.z_star, self.sizes.state)
+
+    @property
+    def named_sizes(self) -> dict[str, float]:
+        """Natural size of each state and input, by name."""
+        names = (*self.loop.states, *input_names(self.loop.plant.m))
+        values = np.concatenate([self.sizes.state, self.sizes.input])
+        return dict(zip(names, values.tolist(), strict=True))
 
     @cached_property
     def natural(self) -> Design:
@@ -90,6 +98,8 @@ class Design(Parts):
     @cached_property
     def z_bar(self) -> Vector:
         """The minimum of V near z*, by Newton's method on ∇V, (n + nc,)."""
+        if self.natural is not self:
+            return self.natural.z_bar * self.units.state
         z = self.z_star
         for _ in range(20):
             g = np.asarray(self.lyapunov.gradient(z), float).ravel()
@@ -98,6 +108,13 @@ class Design(Parts):
             if np.linalg.norm(step) <= 4 * np.finfo(float).eps * max(1.0, float(np.linalg.norm(z))):
                 break
         return z
+
+    @cached_property
+    def spectrum(self) -> npt.NDArray[np.complex128]:
+        """Eigenvalues of the linearisation at z̄, (n + nc,), 1/s."""
+        natural = self.natural
+        values = np.linalg.eigvals(natural.lyapunov.linearisation(natural.z_bar))
+        return np.asarray(values / self.units.time, complex)
 
     def linearise(self) -> tuple[Vector, Vector, Vector, Vector]:
         """State-space matrices (A, B, C, D) of the damped loop at z̄, ready for python-control.

@@ -8,11 +8,19 @@ import sympy as sp
 
 from necc_casadi.casimirs.casimirs import Casimirs
 from necc_casadi.model.model_file import Model
+from necc_casadi.model.sizes import Sizes
 from necc_casadi.model.target import nearest_equilibrium
 from necc_casadi.pipeline.request import option_word
 from necc_casadi.verdict.controller_structures import suggest_controllers
 
-__all__ = ["NOTED_LOSS", "SMALL_SHARE", "model_notes", "nearest_note", "structure_offers"]
+__all__ = [
+    "NOTED_LOSS",
+    "SMALL_SHARE",
+    "model_notes",
+    "nearest_note",
+    "size_notes",
+    "structure_offers",
+]
 
 
 #: A design whose ε, in natural units, is above this gets a note: IPOPT's status, what to try.
@@ -21,6 +29,16 @@ NOTED_LOSS = 1e-9
 
 #: A proved region below this share of the domain gets a note on how it may grow.
 SMALL_SHARE = 0.1
+
+
+def size_notes(sizes: Sizes) -> list[str]:
+    """A warning where natural sizes were guessed."""
+    if not sizes.guessed:
+        return []
+    return [
+        f"natural sizes were guessed for {', '.join(sizes.guessed)}; where they are far off, give "
+        "sizes = {state or input: a large value of it} in the model file"
+    ]
 
 
 def structure_offers(model: Model, x_star: Mapping[sp.Symbol, sp.Expr]) -> list[str]:

@@ -38,8 +38,8 @@ def least_kappa(
     """The least κ, in natural units, for which quadratic parts alone make V convex at samples.
 
     They must also reach the curvature `a` (n + nc,) at z*, with something to spare, so that the
-    networks need not. The samples fill twice the natural domain, whole turns of an angle included. A
-    certificate, not this search, says whether V is convex everywhere. Where no stiffness helps
+    networks need not. The samples fill twice the natural domain, whole turns of an angle included.
+    A certificate, not this search, says whether V is convex everywhere. Where no stiffness helps
     (H curves downwards somewhere along an invisible direction) the default bound is returned.
     """
     hessians = _hessians(terms, scales, verdict, np.concatenate([x_star, xi_star]))
