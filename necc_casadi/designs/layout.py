@@ -256,7 +256,7 @@ def from_dict(data: Mapping[str, Any]) -> Parts:
         Dc=_unhex(data["Dc"]),
         a=float.fromhex(data["a"]),
         a_requested=float.fromhex(data["a_requested"]),
-        **_scaling(data, len(z), plant.m),
+        **_scaling(data),
         seed=data["seed"],
         starts=tuple(Start(**start) for start in data["starts"]),
         learned=None if data["learned"] is None else Residual(**data["learned"]),
@@ -264,15 +264,10 @@ def from_dict(data: Mapping[str, Any]) -> Parts:
     )
 
 
-def _scaling(data: Mapping[str, Any], states: int, inputs: int) -> dict[str, Any]:
+def _scaling(data: Mapping[str, Any]) -> dict[str, Any]:
     """Sizes, units and curvature; a file without them was designed in the units of its model."""
     if "sizes" not in data:
-        ones = Sizes.ones(states, inputs, len(data["casimirs"]["functions"]))
-        return {
-            "sizes": ones,
-            "units": ones,
-            "curvature": np.full(states, float.fromhex(data["a"])),
-        }
+        return {}
 
     def read(values: Mapping[str, Any]) -> Sizes:
         return Sizes(

@@ -31,13 +31,19 @@ NOTED_LOSS = 1e-9
 SMALL_SHARE = 0.1
 
 
+#: Longer lists of names are shortened.
+_FEW_NAMES = 6
+
+
 def size_notes(sizes: Sizes) -> list[str]:
     """A warning where natural sizes were guessed."""
     if not sizes.guessed:
         return []
+    names = sizes.guessed
+    listed = ", ".join(names if len(names) <= _FEW_NAMES else [names[0], "…", names[-1]])
     return [
-        f"natural sizes were guessed for {', '.join(sizes.guessed)}; where they are far off, give "
-        "sizes = {state or input: a large value of it} in the model file"
+        f"sizes of {listed} were guessed; where they are far off, add "
+        "sizes = {name: a large value} to the model file"
     ]
 
 

@@ -130,7 +130,8 @@ def _sizes(design: Design) -> str:
         _tied(f"{name} {size:.2g} {units.get(name, '')}".rstrip())
         for name, size in design.named_sizes.items()
     ]
-    return f"{', '.join(parts[:_MANY])}{', …' if len(parts) > _MANY else ''}"
+    shown = parts if len(parts) <= _MANY else [*parts[: _MANY // 2], "…", parts[-1]]
+    return ", ".join(shown)
 
 
 def _casimirs(casimirs: Casimirs) -> str:
