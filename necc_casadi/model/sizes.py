@@ -99,6 +99,7 @@ def input_names(m: int) -> tuple[str, ...]:
     return ("u",) if m == 1 else tuple(f"u{i + 1}" for i in range(m))
 
 
+@np.errstate(all="ignore")  # what overflows is left out of every mean
 def natural_sizes(
     loop: ClosedLoop,
     casimirs: Sequence[sp.Expr],
@@ -227,14 +228,11 @@ class _Local:
 
     @property
     def periods(self) -> list[float]:
-        """1/(|M_ij| √(∂²H_i ∂²H_j)): in which two states exchange what they store, s."""
-        n = len(self.curvature)
-        rates = [
-            self.M[i, j] * np.sqrt(self.curvature[i] * self.curvature[j])
-            for i in range(n)
-            for j in range(i)
-        ]
-        return [float(1 / rate) for rate in rates if rate > 0]
+        """1/max_j |M_ij| √(∂²H_i ∂²H_j): in which a state exchanges what it stores, s."""
+        root = np.sqrt(np.outer(self.curvature, self.curvature))
+        rates = (root * np.maximum(self.M, self.M.T))[~np.eye(len(root), dtype=bool)]
+        fastest = rates.reshape(len(root), -1).max(axis=1, initial=0.0)
+        return [float(1 / rate) for rate in fastest if rate > 0]
 
     @property
     def decays(self) -> list[float]:
@@ -244,14 +242,12 @@ class _Local:
 
     def passages(self, size: Vector) -> list[float]:
         """Times in which states without curvature travel their size, s."""
-        n = len(size)
-        speeds = {
-            (i, j): self.M[i, j] * self.curvature[j] * size[j]
-            for i in range(n)
-            for j in range(n)
-            if self.curvature[i] == 0
-        }
-        return [float(size[i] / speed) for (i, _), speed in speeds.items() if speed > 0]
+        speeds = (self.M * (self.curvature * np.nan_to_num(size))).max(axis=1)
+        return [
+            float(size[i] / speed)
+            for i, speed in enumerate(speeds)
+            if self.curvature[i] == 0 and speed > 0
+        ]
 
 
 def _numbers(matrix: sp.MatrixBase) -> Vector:
@@ -319,6 +315,9 @@ def _energy(
     has = ~np.isnan(known)
     size = np.where(has, known, 0.0)
     stored = np.maximum(size**2 * local.curvature, size * local.slope)
+    turns = np.array([name in _angles(plant) for name in plant.states])
+    falls = has & ~turns & (local.curvature == 0)
+    stored[falls] *= 2 * REACH  # a uniform field: what is gained across the whole range
     found = geometric_mean(stored[has])
     if found is not None:
         return found
@@ -328,12 +327,11 @@ def _energy(
     found = geometric_mean(work)
     if found is not None:
         return found
-    moving = [
-        (size[i] / (time * local.M[i, j])) ** 2 / local.curvature[j]
-        for i in range(n)
-        for j in range(n)
-        if local.M[i, j] > 0 and local.curvature[j] > 0
-    ]
+    # what moves the states across their sizes in the natural time
+    moving = []
+    for j in map(int, np.flatnonzero(local.curvature)):
+        flows = [size[i] / (time * local.M[i, j]) for i in range(n) if local.M[i, j] > 0]
+        moving.append(min((f for f in flows if f > 0), default=0.0) ** 2 / local.curvature[j])
     return geometric_mean(moving) or 1.0
 
 
