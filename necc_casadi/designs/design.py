@@ -73,6 +73,8 @@ class Design(Parts):
     @cached_property
     def momenta(self) -> tuple[int, ...]:
         """Indices of the plant states that are momenta; see :func:`find_momenta`."""
+        if self.natural is not self:
+            return self.natural.momenta
         return find_momenta(self.loop, self.casimirs, self.x_star)
 
     @cached_property

@@ -63,7 +63,7 @@ def damping_units(units: Sizes) -> Vector:
 
 def natural_verdict(verdict: Verdict, units: Sizes, n: int) -> Verdict:
     """The verdict in other units; a_max is that of the curvature in hand."""
-    state, energy = exactly(units.state), sp.Rational(units.energy)
+    state, energy = exactly(units.state), exactly(np.array([units.energy]))[0]
     lam = verdict.lam
     if lam is not None and len(lam) == len(units.casimir):
         sizes = exactly(units.casimir)

@@ -85,7 +85,7 @@ def vector_table(source: Source) -> str:
         u, xi_dot = design.control(z[:n], z[n:])
         after = np.asarray(step.call([z[:n], z[n:], dt])[1], float).ravel()
         limited, flags = _saturated(design, u)
-        allowed = [np.asarray(v, float).ravel() for v in scales(z[:n], z[n:], dt)]
+        allowed = [np.asarray(v, float).ravel() for v in scales.call([z[:n], z[n:], dt])]
         outputs = [u, xi_dot, limited, after, *allowed]
         rows.append(_row([z[:n], z[n:]], outputs, dt, flags, real))
     return fill(

@@ -43,7 +43,10 @@ def exact_bounds(
     box = {}
     sizes = natural_sizes(loop, (), target)
     for symbol, size in zip(loop.z, sizes.units.state, strict=True):
-        middle, half = target.get(symbol, sp.Integer(0)), REACH * sp.Rational(float(size))
+        middle, half = (
+            target.get(symbol, sp.Integer(0)),
+            REACH * sp.Rational(*float(size).as_integer_ratio()),
+        )
         around = (middle - half, middle + half)
         box[symbol] = loop.plant.domain.get(str(symbol), around)
     return box

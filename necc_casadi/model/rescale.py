@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 
+import numpy as np
 import sympy as sp
 
 from necc_casadi.arrays import Vector
@@ -25,7 +26,7 @@ __all__ = ["exactly", "rescaled_functions", "rescaled_loop"]
 
 def exactly(values: Vector) -> list[sp.Rational]:
     """Floats as the rationals that they are."""
-    return [sp.Rational(float(value)) for value in values]
+    return [sp.Rational(*float(value).as_integer_ratio()) for value in values]
 
 
 def rescaled_loop(loop: ClosedLoop, units: Sizes) -> ClosedLoop:
@@ -33,7 +34,7 @@ def rescaled_loop(loop: ClosedLoop, units: Sizes) -> ClosedLoop:
     plant, controller = loop.plant, loop.controller
     scale = _substitution(loop, units)
     state = exactly(units.state)
-    energy, time = sp.Rational(units.energy), sp.Rational(units.time)
+    energy, time = exactly(np.array([units.energy, units.time]))
     rows, inner = state[: plant.n], state[plant.n :]
     u = exactly(units.input)
 
