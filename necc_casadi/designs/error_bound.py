@@ -6,11 +6,18 @@ import numpy as np
 
 from necc_casadi.designs.design import Design
 
-__all__ = ["gradient_and_hessian", "loss"]
+__all__ = ["gradient_and_hessian", "loss", "natural_loss"]
+
+
+def natural_loss(design: Design) -> float:
+    """ε of eq. Loss in natural units, for the curvature that was asked for there."""
+    g, hessian = gradient_and_hessian(design.natural)
+    short = -np.linalg.eigvalsh(hessian - np.diag(design.curvature))[0]
+    return float(np.linalg.norm(g) + max(0.0, short))
 
 
 def loss(design: Design) -> float:
-    """ε of eq. Loss, recomputed from the stored weights."""
+    """ε of eq. Loss, recomputed from the stored weights, in the units of the model."""
     g, hessian = gradient_and_hessian(design)
     return float(np.linalg.norm(g) + max(0.0, design.a - np.linalg.eigvalsh(hessian)[0]))
 

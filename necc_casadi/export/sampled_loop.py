@@ -54,7 +54,7 @@ def analyse_sampling(design: Design, sample_time: float, integrator: str = "heun
 
 def spectral_radius(design: Design, sample_time: float, integrator: str = "heun") -> float:
     """Spectral radius of the sampled loop at z̄; `sample_time` in s."""
-    return _radius(_linear_parts(design), sample_time, ORDERS[integrator])
+    return _radius(_linear_parts(design), sample_time / design.units.time, ORDERS[integrator])
 
 
 def largest_stable_time(design: Design, integrator: str = "heun") -> float | None:
@@ -65,7 +65,7 @@ def largest_stable_time(design: Design, integrator: str = "heun") -> float | Non
     time constants is.
     """
     parts, order = _linear_parts(design), ORDERS[integrator]
-    rates = np.abs(np.linalg.eigvals(design.linearise()[0]))
+    rates = np.abs(design.natural.spectrum)
     time, end = 1e-3 / rates.max(), 1e3 / max(rates.min(), 1e-3 * rates.max())
     if not _radius(parts, time, order) < 1:
         return None
@@ -77,11 +77,12 @@ def largest_stable_time(design: Design, integrator: str = "heun") -> float | Non
     while high - low > 1e-4 * low:
         middle = (low + high) / 2
         low, high = (middle, high) if _radius(parts, middle, order) < 1 else (low, middle)
-    return float(low)
+    return float(low * design.units.time)
 
 
 def _linear_parts(design: Design) -> tuple[Vector, ...]:
-    """A (n × n), G (n × m), u_x, u_ξ, f_x, f_ξ at z̄ and its holding input."""
+    """A (n × n), G (n × m), u_x, u_ξ, f_x, f_ξ at z̄ and its holding input, natural units."""
+    design = design.natural
     terms, law = design.lyapunov.terms, design.lyapunov.control_law
     x, xi, u = (ca.MX.sym(s, k) for s, k in (("x", terms.n), ("xi", terms.nc), ("u", terms.m)))
     law_u, law_f = law.call([x, xi])

@@ -15,6 +15,10 @@ from necc_casadi.export.sampled_loop import ORDERS, largest_stable_time
 __all__ = ["Source"]
 
 
+#: Samples in one natural time, and how far below the largest stable sample time, by default.
+_PER_NATURAL_TIME, _BELOW_LARGEST = 100, 10
+
+
 @dataclass(frozen=True, eq=False)
 class Source:
     """A design with the options of :func:`necc_casadi.export.c_project.export_c`, checked.
@@ -76,8 +80,10 @@ class Source:
 
     @cached_property
     def step_time(self) -> float:
-        """The sample time, or else one far from the stability limit, s."""
+        """The sample time, or else one far from the stability limit and the natural time, s."""
         if self.sample_time is not None:
             return self.sample_time
         largest = largest_stable_time(self.design, self.integrator)
-        return float(f"{min(0.01, (largest or 0.1) / 10):.1g}")
+        times = [self.design.sizes.time / _PER_NATURAL_TIME]
+        times += [] if largest is None else [largest / _BELOW_LARGEST]
+        return float(f"{min(times):.1g}")

@@ -22,6 +22,7 @@ from necc_casadi.errors import InputError, ModelError, OptionError
 from necc_casadi.model.closed_loop import ClosedLoop, interconnect
 from necc_casadi.model.controller import Controller, default_controller, make_controller
 from necc_casadi.model.plant import make_plant
+from necc_casadi.model.sizes import input_names
 from necc_casadi.symbolic.expressions import exact, parse_number
 
 __all__ = ["Model", "damping_matrix", "load_model"]
@@ -31,8 +32,8 @@ _REQUIRED = ("x", "J", "R", "G", "H")
 
 
 _OPTIONAL = (
-    "params", "xi", "Jc", "Rc", "Gc", "casimirs", "target", "domain", "D", "Dc", "u_limits",
-    "units", "name",
+    "params", "xi", "Jc", "Rc", "Gc", "casimirs", "target", "domain", "sizes", "D", "Dc",
+    "u_limits", "units", "name",
 )  # fmt: skip
 
 
@@ -190,7 +191,8 @@ def _build(path: Path, space: dict[str, Any], overrides: Mapping[str, str]) -> M
     controller = _controller(plant, space, [_real(s) for s in xi], read)
     loop = interconnect(plant, controller)
     domain = _domain(dict(space.get("domain", {})), loop.states, read)
-    loop = replace(loop, plant=replace(plant, domain=domain))
+    sizes = _sizes(dict(space.get("sizes", {})), (*loop.states, *input_names(plant.m)), read)
+    loop = replace(loop, plant=replace(plant, domain=domain, sizes=sizes))
     target = space.get("target")
     return Model(
         loop=loop,
@@ -316,6 +318,31 @@ def _domain(
                 "Give two finite numbers.",
             )
         result[name] = (lo, hi)
+    return result
+
+
+def _sizes(value: Mapping[Any, Any], names: Sequence[str], read: Any) -> dict[str, sp.Expr]:
+    result = {}
+    for key, size in value.items():
+        name = str(key)
+        if name not in names:
+            raise ModelError(
+                "model_file",
+                f"sizes names {name}, which is no state and no input",
+                f"States and inputs: {', '.join(names)}.",
+            )
+        try:
+            number = read(size)
+            positive = bool(number > 0) and bool(number.is_finite)
+        except (TypeError, ValueError, AttributeError):
+            positive = False
+        if not positive:
+            raise ModelError(
+                "model_file",
+                f"sizes[{name}] = {size} is not a positive number",
+                "Give what a large value of it is.",
+            )
+        result[name] = number
     return result
 
 

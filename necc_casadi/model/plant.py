@@ -58,6 +58,7 @@ class Plant:
     units: Mapping[str, str] = field(default_factory=dict)  # name of a state -> unit
     domain: Mapping[str, tuple[sp.Expr, sp.Expr]] = field(default_factory=dict)
     u_limits: tuple[tuple[float, float], ...] | None = None  # (m,) pairs
+    sizes: Mapping[str, sp.Expr] = field(default_factory=dict)  # name of a state or input -> size
     properties: tuple[Property, ...] = ()
 
     @property

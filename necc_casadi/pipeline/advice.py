@@ -8,19 +8,43 @@ import sympy as sp
 
 from necc_casadi.casimirs.casimirs import Casimirs
 from necc_casadi.model.model_file import Model
+from necc_casadi.model.sizes import Sizes
 from necc_casadi.model.target import nearest_equilibrium
 from necc_casadi.pipeline.request import option_word
 from necc_casadi.verdict.controller_structures import suggest_controllers
 
-__all__ = ["NOTED_LOSS", "SMALL_SHARE", "model_notes", "nearest_note", "structure_offers"]
+__all__ = [
+    "NOTED_LOSS",
+    "SMALL_SHARE",
+    "model_notes",
+    "nearest_note",
+    "size_notes",
+    "structure_offers",
+]
 
 
-#: A design whose ε is above this gets a note with IPOPT's status and what to try.
+#: A design whose ε, in natural units, is above this gets a note: IPOPT's status, what to try.
 NOTED_LOSS = 1e-9
 
 
 #: A proved region below this share of the domain gets a note on how it may grow.
 SMALL_SHARE = 0.1
+
+
+#: Longer lists of names are shortened.
+_FEW_NAMES = 6
+
+
+def size_notes(sizes: Sizes) -> list[str]:
+    """A warning where natural sizes were guessed."""
+    if not sizes.guessed:
+        return []
+    names = sizes.guessed
+    listed = ", ".join(names if len(names) <= _FEW_NAMES else [names[0], "…", names[-1]])
+    return [
+        f"sizes of {listed} were guessed; where they are far off, add "
+        "sizes = {name: a large value} to the model file"
+    ]
 
 
 def structure_offers(model: Model, x_star: Mapping[sp.Symbol, sp.Expr]) -> list[str]:

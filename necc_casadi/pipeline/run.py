@@ -27,6 +27,7 @@ from necc_casadi.pipeline.advice import (
     SMALL_SHARE,
     model_notes,
     nearest_note,
+    size_notes,
     structure_offers,
 )
 from necc_casadi.pipeline.request import (
@@ -57,6 +58,10 @@ __all__ = ["run_design"]
 
 
 _RESPONSES = 10
+
+
+#: Seconds of computing that all responses together may take.
+_PATIENCE = 10.0
 
 
 Say = Callable[[str], None]
@@ -147,6 +152,7 @@ class _Making:
         with self.stage("design", "training"):
             made = found.design = self.train(self.options)
         found.timings["solve"] = sum(s.seconds for s in made.starts)
+        found.notes += size_notes(made.sizes)
         if made.a < made.a_requested:
             found.notes.append(
                 f"a = {made.a_requested:.4g} was asked for, but no network can exceed "
@@ -188,7 +194,16 @@ class _Making:
         """Responses from random states of the domain, and the share from which it converges."""
         with self.stage("simulate", "simulating"):
             states = random_states(made, _RESPONSES, made.seed)
-            self.found.responses = [simulate(made, x0) for x0 in states]
+            ends = time.perf_counter() + _PATIENCE
+            self.found.responses = [
+                simulate(made, x0, patience=max(0.0, ends - time.perf_counter())) for x0 in states
+            ]
+            cut = sum(response.cut for response in self.found.responses)
+            if cut:
+                self.found.notes.append(
+                    f"{cut} of {_RESPONSES} responses were cut after {_PATIENCE:g} s of computing: "
+                    "the loop is stiff or very slow"
+                )
             self.found.simulated_share = simulated_share(made, made.momenta, made.seed)
 
     def export(self, made: Design, certificate: Certificate) -> None:

@@ -11,7 +11,7 @@ from necc_casadi.casimirs.casimirs import Casimirs
 from necc_casadi.certificate.claims.certificate import Certificate
 from necc_casadi.certificate.claims.claim import Claim
 from necc_casadi.designs.design import Design
-from necc_casadi.designs.error_bound import loss
+from necc_casadi.designs.error_bound import natural_loss
 from necc_casadi.export.sampled_loop import SampledLoop
 from necc_casadi.model.closed_loop import ClosedLoop
 from necc_casadi.simulation.responses import Trajectory
@@ -20,7 +20,7 @@ from necc_casadi.verdict.verdict import Verdict
 __all__ = ["Findings", "SweepPoint", "attracts", "region_claim"]
 
 
-#: A design whose ε is above this fell short, whatever else is proved.
+#: A design whose ε, in natural units, is above this fell short, whatever else is proved.
 ACCEPTED_LOSS = 1e-6
 
 
@@ -51,7 +51,11 @@ class Findings:
             known = self.verdict is not None and self.verdict.assignable
             return "assignable" if known else "undecided"
         certified = self.certificate is not None and self.certificate.certified
-        return "certified" if certified and loss(self.design) <= ACCEPTED_LOSS else "fell_short"
+        return (
+            "certified"
+            if certified and natural_loss(self.design) <= ACCEPTED_LOSS
+            else "fell_short"
+        )
 
     @property
     def exit_code(self) -> int:

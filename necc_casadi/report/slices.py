@@ -62,17 +62,19 @@ def telling_pair(design: Design) -> tuple[int, int]:
     """The two plant states that a plot of V should show, in order.
 
     The state along which the design changed the plant's own energy most, and the stiffest of the
-    others; a momentum at rest only where there is nothing else.
+    others, in natural units; a momentum at rest only where there is nothing else.
     """
     n = design.loop.plant.n
     if n == 1:
         return 0, n
     import casadi as ca
 
-    stiffness = np.diag(np.asarray(design.lyapunov.hessian(design.z_bar), float))[:n]
+    natural = design.natural
+    scale = natural.sizes.state[:n] ** 2
+    stiffness = scale * np.diag(np.asarray(natural.lyapunov.hessian(natural.z_bar), float))[:n]
     x = ca.MX.sym("x", n)
-    own = ca.Function("own", [x], [ca.hessian(design.lyapunov.terms.H(x), x)[0]])
-    change = stiffness - np.diag(np.asarray(own(design.z_bar[:n]), float))
+    own = ca.Function("own", [x], [ca.hessian(natural.lyapunov.terms.H(x), x)[0]])
+    change = stiffness - scale * np.diag(np.asarray(own(natural.z_bar[:n]), float))
     first = int(np.argmax(np.abs(change)))
     resting = design.momenta
     others = sorted((i in resting, -stiffness[i], i) for i in range(n) if i != first)
@@ -88,13 +90,17 @@ def domain_window(design: Design) -> Window:
 
 
 def slice_values(design: Design, window: Window) -> tuple[Vector, Vector, Vector]:
-    """Grid over a window and V − V(z̄) there, the other states at z*; three arrays of one shape."""
+    """Grid over a window and V − V(z̄) there, the other states at z*; three arrays of one shape.
+
+    Where V is not a finite number it is nan.
+    """
     A, B = np.meshgrid(
         *(np.linspace(lo, hi, _GRID) for lo, hi in zip(window.lo, window.hi, strict=True))
     )
     points = np.repeat(design.z_star[:, None], A.size, axis=1)
     points[list(window.pair)] = A.ravel(), B.ravel()
     values = np.asarray(design.lyapunov.V.map(A.size)(points), float).reshape(A.shape)
+    values[~np.isfinite(values)] = np.nan
     return A, B, values - design.V(design.z_bar)
 
 
@@ -120,15 +126,28 @@ def shadow(design: Design, level: float, window: Window) -> Vector:
     """
     angle = np.linspace(0, 2 * np.pi, _RAYS, endpoint=False)
     circle = np.stack([np.cos(angle), np.sin(angle)])
-    return _followed(design, level, list(window.pair), circle, (window.lo, window.hi))
+    return _in_natural_units(design, level, list(window.pair), circle, (window.lo, window.hi))
 
 
 def extent(design: Design, level: float) -> Vector:
     """Least and greatest value of each state on Ω, (n + nc, 2); computed like :func:`shadow`."""
     lo, hi = design.domain.lo, design.domain.hi
     both = np.array([[-1.0, 1.0]])
-    ends = [_followed(design, level, [k], both, (lo[[k]], hi[[k]]))[:, 0] for k in range(len(lo))]
-    return np.array(ends)
+    sides = [(lo[[k]], hi[[k]]) for k in range(len(lo))]
+    ends = [_in_natural_units(design, level, [k], both, side) for k, side in enumerate(sides)]
+    return np.array(ends)[..., 0]
+
+
+def _in_natural_units(
+    design: Design, level: float, shown: list[int], directions: Vector, box: tuple[Vector, Vector]
+) -> Vector:
+    """:func:`_followed` in natural units."""
+    units, (lo, hi) = design.units, box
+    size = units.state[shown]
+    ends = _followed(
+        design.natural, level / units.energy, shown, directions, (lo / size, hi / size)
+    )
+    return ends * size
 
 
 def _followed(

@@ -25,7 +25,7 @@ def design_block(design: Design, certificate: Certificate | None) -> dict[str, A
     g, _ = gradient_and_hessian(design)
     at_bar = np.asarray(design.lyapunov.hessian(design.z_bar), float)
     epsilon = loss(design)
-    spectrum = np.linalg.eigvals(design.lyapunov.linearisation(design.z_bar))
+    spectrum = design.spectrum
     return {
         "xi_star": design.xi_star.tolist(),
         "a": design.a,
@@ -76,6 +76,7 @@ def to_json(found: Findings) -> dict[str, Any]:
         "certificate": None
         if found.certificate is None
         else _certificate(found.certificate, found.simulated_share),
+        "sizes": None if found.design is None else found.design.named_sizes,
         "responses": [_response(r) for r in found.responses] or None,
         "sampling": None if found.sampling is None else vars(found.sampling),
         "sweep": [vars(p) for p in found.sweep] or None,

@@ -57,6 +57,7 @@ def summary(found: Findings, width: int = _WIDTH) -> str:
     if verdict is not None:
         rows.append(("verdict", _verdict_text(verdict)))
     if found.design is not None:
+        rows.append(("sizes", _sizes(found.design)))
         rows += _design_rows(found.design, found.certificate)
     if found.design is not None and found.design.learned is not None:
         rows.append(("learned", _learned(found.design.learned)))
@@ -120,6 +121,17 @@ def _target(found: Findings) -> str:
     if many:
         return f"{', '.join(parts[:_MANY])}{', …' if len(parts) > _MANY else ''}; zeros not listed"
     return ", ".join(parts)
+
+
+def _sizes(design: Design) -> str:
+    """What a large value of each state and input is taken to be."""
+    units = design.loop.plant.units
+    parts = [
+        _tied(f"{name} {size:.2g} {units.get(name, '')}".rstrip())
+        for name, size in design.named_sizes.items()
+    ]
+    shown = parts if len(parts) <= _MANY else [*parts[: _MANY // 2], "…", parts[-1]]
+    return ", ".join(shown)
 
 
 def _casimirs(casimirs: Casimirs) -> str:

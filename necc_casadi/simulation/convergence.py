@@ -48,17 +48,18 @@ class Arrivals:
 def converging(design: Design, starts: npt.ArrayLike, *, tolerance: float = 1e-4) -> Arrivals:
     """Whether the loop comes near z̄ within some default horizons, from states (B, n + nc).
 
-    A pair of orders 3 and 2 on all states at once, each with its own step.
+    A pair of orders 3 and 2 on all states at once, each with its own step; distances and
+    errors in natural units.
 
     References
     ----------
     Bogacki and Shampine (1989).
     """
+    units, design = design.units, design.natural
     horizon, z_bar = _PATIENCE * default_horizon(design), design.z_bar[:, None]
-    z = np.array(starts, float).T
-    lo, hi = design.domain.lo, design.domain.hi
-    lost = _LOST * float(np.linalg.norm(hi - lo))
-    near = _ARRIVED * np.linalg.norm(z - z_bar, axis=0)
+    z, size = (np.array(starts, float) / units.state).T, design.sizes.state[:, None]
+    lost = _LOST * float(np.linalg.norm((design.domain.hi - design.domain.lo) / size.ravel()))
+    near = _ARRIVED * np.linalg.norm((z - z_bar) / size, axis=0)
     arrived = near == 0
     alive = np.flatnonzero(~arrived)
     t, h = np.zeros(z.shape[1]), np.full(z.shape[1], horizon / 1000)
@@ -76,7 +77,7 @@ def converging(design: Design, starts: npt.ArrayLike, *, tolerance: float = 1e-4
             t[moved] += step[good]
             growth = np.clip(0.9 * np.fmax(error, 1e-9) ** (-1 / 3), 0.2, 5.0)
             h[alive] = step * np.where(np.isfinite(error), growth, 0.2)
-            distance = np.linalg.norm(z[:, alive] - z_bar, axis=0)
+            distance = np.linalg.norm((z[:, alive] - z_bar) / size, axis=0)
         arrived[alive] = distance <= near[alive]
         short = (h[alive] < _LEAST_STEP * horizon) & ~good
         going = (distance < lost) & (t[alive] < horizon * (1 - 1e-9)) & ~short

@@ -10,14 +10,8 @@ from necc_casadi.arrays import Vector
 from necc_casadi.errors import OptionError
 from necc_casadi.lyapunov.networks import MonotonePhi, Network
 from necc_casadi.lyapunov.parameterization import Form
-from necc_casadi.synthesis.units import Scales
-from necc_casadi.verdict.verdict import Verdict
 
-__all__ = ["SHAPES", "Options", "check_options", "default_a", "form_of", "paper_options"]
-
-
-#: Curvature asked for by default, as a share of the reference stiffness.
-_DEFAULT_A = 0.5
+__all__ = ["SHAPES", "Options", "check_options", "form_of", "paper_options"]
 
 
 #: What can be asked for; "none" leaves V to the conditions at z*.
@@ -50,7 +44,7 @@ class Options:
     learn_casimir: bool = False  # a network C(z), a Casimir only approximately
     shape: str = "none"  # what is asked of V over the domain: a key of SHAPES
     gamma: float | None = None  # of the regulariser: ‖z − z*‖² ≤ γ ΔV on average, natural units
-    natural_units: bool = True  # scale the networks to the plant's domain and energy
+    natural_units: bool = True  # train in natural units, not in the model's
     seed: int = 0
     starts: int = 1
     verbose: bool = False
@@ -144,11 +138,3 @@ def form_of(options: Options, nc: int, r: int) -> Form:
         betas=betas,
         phi=MonotonePhi() if options.phi == "neural" else None,
     )
-
-
-def default_a(scales: Scales, verdict: Verdict) -> float:
-    """Half of the reference stiffness, and no more than half of the ceiling."""
-    a = _DEFAULT_A * float(scales.stiffness.min())
-    if verdict.a_max is not None:
-        a = min(a, 0.5 * verdict.a_max)
-    return float(f"{a:.3g}")

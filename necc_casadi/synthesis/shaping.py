@@ -210,7 +210,7 @@ def make_shaping(
 ) -> Shaping:
     """Samples of the box and of its boundary, the same for the same seed.
 
-    No more growth is asked for than the curvature `a` at z* allows in every direction.
+    No more growth is asked for than the curvature `a` at z* allows, in energy over squared size.
     """
     shaped = list(box.shaped)
     ceiling = min(box.ceiling, _least_excess(box, seed))
@@ -234,7 +234,7 @@ def make_shaping(
         boundary=np.concatenate(list(_faces(box, box.shaped, _BOUNDARY, seed))),
         size=size,
         energy=energy,
-        growth=min(_GROWTH, _BELOW_A * a * float(size[shaped].min()) ** 2 / energy),
+        growth=min(_GROWTH, _BELOW_A * a / energy),
         gamma=gamma,
     )
 

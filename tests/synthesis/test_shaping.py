@@ -24,12 +24,12 @@ from necc_casadi.lyapunov.networks import Network
 from necc_casadi.lyapunov.parameterization import Form
 from necc_casadi.model.model_file import load_model
 from necc_casadi.model.samples import quasi_random
+from necc_casadi.model.sizes import Sizes
 from necc_casadi.synthesis import shaping, training
 from necc_casadi.synthesis.lifting import Lifting
 from necc_casadi.synthesis.options import Options, paper_options
 from necc_casadi.synthesis.programs import hard_program
 from necc_casadi.synthesis.shaping import SampleBox, make_shaping, moving_weights
-from necc_casadi.synthesis.units import Scales
 
 #: The pendulum's box ±2 around z* = (q*, 0, ξ*); the momentum rests, its ceiling is p²/2 at 2.
 BOX = SampleBox(
@@ -238,8 +238,8 @@ def test_derivatives_that_are_written_by_hand(pendulum, kind):
     form = Form(Network(1, (3,), quadratic=True), Network(1, (4,), quadratic=True))
     terms = make_terms(pendulum.loop, pendulum.casimirs)
     x, shaped = np.array([np.pi / 4, 0.0]), make(kind)
-    lifting = Lifting(terms, form, x, Scales(np.ones(3), 1.0), np.zeros(1))
-    program = hard_program(lifting, 0.4, None)
+    lifting = Lifting(terms, form, x, Sizes.ones(3, 1, 1), np.zeros(1))
+    program = hard_program(lifting, np.full(3, 0.4), None)
     anchor = training.Anchor(np.zeros(1))
     solver = training._Solver(lifting, program, 0.4, anchor, shaped, False)
     nlp, n = solver.solver, solver.n_small
