@@ -8,10 +8,14 @@ import sympy as sp
 
 from necc_casadi.casimirs.casimirs import Casimirs
 from necc_casadi.model.closed_loop import ClosedLoop
+from necc_casadi.symbolic.definiteness import UNDECIDED
 from necc_casadi.symbolic.expressions import is_finite
+from necc_casadi.symbolic.floats import to_float
 from necc_casadi.symbolic.linear_algebra import generic_rank, kernel
 from necc_casadi.symbolic.zero import is_zero
 from necc_casadi.verdict.conditions import LocalConditions, TargetDerivatives
+from necc_casadi.verdict.detectability import Reach
+from necc_casadi.verdict.verdict import STABLE, Reason, assignable
 
 __all__ = ["direction_name", "explain"]
 
@@ -24,17 +28,16 @@ def explain(
     casimirs: Casimirs,
     x_star: Mapping[sp.Symbol, sp.Expr],
     data: TargetDerivatives,
-    reason: str,
+    reason: Reason,
     local: LocalConditions,
-    stability: str | None,
-    witness: str | None,
+    reach: Reach,
 ) -> str:
     """One or two sentences for an engineer."""
     if reason == "not_an_equilibrium":
         return _off_equilibrium(loop, x_star)
     if reason == "ok":
-        return _accepted(loop, casimirs, local, stability, witness)
-    if reason == "undecided":
+        return _accepted(casimirs, local, reach)
+    if reason == UNDECIDED:
         return _undecided(loop, casimirs, data, local)
     fault, w = _failure(loop, casimirs, local)
     if reason == "needs_decreasing_phi":
@@ -45,7 +48,7 @@ def explain(
     return f"{fault}: {_consequence(reason)} {_remedy(loop, x_star, w)}"
 
 
-def _consequence(reason: str) -> str:
+def _consequence(reason: Reason) -> str:
     if reason == "invisible_flat_curvature":
         return "no choice of K and Hc makes ∇²V positive definite here."
     return "no choice of K and Hc with Φ₁ > 0 asymptotically stabilises this target."
@@ -64,23 +67,17 @@ def _off_equilibrium(loop: ClosedLoop, x_star: Mapping[sp.Symbol, sp.Expr]) -> s
     )
 
 
-def _accepted(
-    loop: ClosedLoop,
-    casimirs: Casimirs,
-    local: LocalConditions,
-    stability: str | None,
-    witness: str | None,
-) -> str:
+def _accepted(casimirs: Casimirs, local: LocalConditions, reach: Reach) -> str:
     through = f" through {_casimir_list(casimirs)}" if casimirs.functions else " without a Casimir"
     text = f"assignable{through}"
     ceiling = local.best.ceiling if local.best is not None else None
     if ceiling is not None and local.invisible.cols:
         text += f"; with Φ₁ = 1 the Hessian's least eigenvalue stays below {ceiling:.4g}"
     text += "."
-    if stability == "stable":
-        text += f" Only stable, not asymptotically: {witness}."
-    elif stability is None and witness:
-        text += f" Asymptotic stability is not decided: {witness}."
+    if reach.stability == STABLE:
+        text += f" Only stable, not asymptotically: {reach.witness}."
+    elif reach.stability is None and reach.witness:
+        text += f" Asymptotic stability is not decided: {reach.witness}."
     return text
 
 
@@ -106,7 +103,7 @@ def _undecided(
             "the Casimirs' gradients are dependent at the target or depend on ξ*, so a refusal "
             "would not be proved. Supply other forms (casimirs = [...]) or move the target."
         )
-    if local.reason not in ("undecided", "ok"):
+    if assignable(local.reason) is False:
         fault, _ = _failure(loop, casimirs, local)
         return f"{fault}, but {cause}"
     return f"not decided: {cause}"
@@ -199,8 +196,8 @@ def direction_name(x: Sequence[sp.Symbol], w: sp.MatrixBase) -> str:
     parts = [(x[i], w[i]) for i in range(len(x)) if w[i] != 0]
     if len(parts) == 1:
         return str(parts[0][0])
-    lead = max(abs(float(sp.N(value))) for _, value in parts)
-    terms = [(s, float(sp.N(value)) / lead) for s, value in parts]
+    lead = max(abs(to_float(value)) for _, value in parts)
+    terms = [(s, to_float(value) / lead) for s, value in parts]
     shown = [_term(s, value) for s, value in terms if abs(value) > 1e-3][:_MOST_NAMES]
     more = " + …" if len(parts) > _MOST_NAMES else ""
     return "the direction " + " + ".join(shown).replace("+ -", "- ") + more
@@ -213,7 +210,7 @@ def _term(s: sp.Symbol, value: float) -> str:
 
 def number(value: sp.Expr | None) -> str:
     """A constant to four digits."""
-    return "?" if value is None else f"{float(sp.N(value)):.4g}"
+    return "?" if value is None else f"{to_float(value):.4g}"
 
 
 def short(expr: sp.Expr) -> str:
