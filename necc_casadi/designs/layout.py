@@ -85,7 +85,7 @@ def to_dict(design: Parts) -> dict[str, Any]:
         "domain": {name: text(bounds) for name, bounds in plant.domain.items()},
         "u_limits": plant.u_limits,
         "sizes": {name: text(size) for name, size in plant.sizes.items()},
-        "properties": [asdict(p) for p in design.loop.properties],
+        "properties": [{"name": p.name, "proved": p.proved} for p in design.loop.properties],
         "plant_properties": len(plant.properties),
     }
     verdict = design.verdict
@@ -207,7 +207,7 @@ def from_dict(data: Mapping[str, Any]) -> Parts:
 
     z = tuple(symbols.values())
     n = len(model["states"])
-    properties = tuple(Property(**p) for p in model["properties"])
+    properties = tuple(Property.named(**p) for p in model["properties"])
     split = model["plant_properties"]
     plant = Plant(
         name=model["name"],

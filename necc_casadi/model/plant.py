@@ -11,10 +11,8 @@ import sympy as sp
 from necc_casadi.errors import ModelError
 from necc_casadi.model.entries import (
     Property,
-    check_psd,
-    check_rank,
-    check_skew,
     check_states,
+    check_structure,
     scalar_entry,
     shaped_matrix,
     square_matrix,
@@ -167,11 +165,7 @@ def make_plant(
             f"G has shape {ports.rows}×{ports.cols}, but x has {n} states",
             f"G needs {n} rows and one column per input.",
         )
-    properties = (
-        check_skew(interconnection, "J", "j_not_skew"),
-        check_psd(dissipation, "R", "r_not_symmetric", "r_not_psd"),
-        check_rank(ports, "G", "g_rank"),
-    )
+    properties = check_structure(interconnection, dissipation, ports)
     if u_limits is not None and len(u_limits) != ports.cols:
         raise ModelError(
             "limits",
