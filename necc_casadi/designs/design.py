@@ -14,7 +14,6 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
-import sympy as sp
 
 from necc_casadi.arrays import Vector
 from necc_casadi.casimirs.momenta import find_momenta
@@ -26,6 +25,7 @@ from necc_casadi.files import write_text
 from necc_casadi.lyapunov.lyapunov import LyapunovFunction, make_terms
 from necc_casadi.model.domain import Domain, domain_of
 from necc_casadi.model.sizes import input_names
+from necc_casadi.symbolic.floats import to_floats
 
 __all__ = ["Design"]
 
@@ -86,7 +86,7 @@ class Design(Parts):
     @cached_property
     def z_star(self) -> Vector:
         """(x*, ξ*) in double precision, (n + nc,)."""
-        return np.concatenate([[float(sp.N(v, 20)) for v in self.x_star], self.xi_star])
+        return np.concatenate([to_floats(self.x_star), self.xi_star])
 
     def control(self, x: npt.ArrayLike, xi: npt.ArrayLike) -> tuple[Vector, Vector]:
         """The controller: plant state (n,), controller state (nc,) -> u (m,), ξ̇ (nc,)."""

@@ -24,6 +24,7 @@ from necc_casadi.model.entries import Property
 from necc_casadi.model.plant import Plant
 from necc_casadi.model.sizes import Sizes
 from necc_casadi.symbolic.expressions import parse, to_text
+from necc_casadi.symbolic.floats import to_floats
 from necc_casadi.symbolic.identifiers import identifiers
 from necc_casadi.verdict.verdict import Verdict
 
@@ -147,7 +148,7 @@ def check_whole(design: Parts, data: Mapping[str, Any]) -> None:
         "xi_star": (design.xi_star, (nc,)),
         "D": (design.D, (m, m)),
         "Dc": (design.Dc, (m, m)),
-        "target": (np.array([float(sp.N(v, 20)) for v in design.x_star]), (n,)),
+        "target": (to_floats(design.x_star), (n,)),
         "curvature": (design.curvature, (n + nc,)),
     }
     for label, group in (("sizes", design.sizes), ("units", design.units)):

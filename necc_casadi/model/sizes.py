@@ -20,6 +20,7 @@ from necc_casadi.arrays import Vector
 from necc_casadi.model.closed_loop import ClosedLoop
 from necc_casadi.model.plant import Plant
 from necc_casadi.symbolic.derivatives import at, gradient
+from necc_casadi.symbolic.floats import to_float
 
 __all__ = ["REACH", "Sizes", "input_names", "natural_sizes", "power_of_two", "with_casimirs"]
 
@@ -255,7 +256,7 @@ def _numbers(matrix: sp.MatrixBase) -> Vector:
 
     def number(value: sp.Expr) -> float:
         try:
-            result = float(sp.N(value, 20))
+            result = to_float(value)
         except (TypeError, ValueError, OverflowError):
             return 0.0
         return result if np.isfinite(result) else 0.0

@@ -6,7 +6,6 @@ import math
 from typing import Any
 
 import numpy as np
-import sympy as sp
 
 from necc_casadi.casimirs.casimirs import Casimirs
 from necc_casadi.certificate.claims.certificate import Certificate
@@ -15,6 +14,7 @@ from necc_casadi.designs.error_bound import gradient_and_hessian, loss
 from necc_casadi.report.findings import Findings, region_claim
 from necc_casadi.simulation.responses import Trajectory
 from necc_casadi.symbolic.expressions import to_text
+from necc_casadi.symbolic.floats import to_float, to_floats
 from necc_casadi.verdict.verdict import Verdict
 
 __all__ = ["design_block", "to_json"]
@@ -70,7 +70,7 @@ def to_json(found: Findings) -> dict[str, Any]:
         "status": found.status,
         "plant": {"states": list(loop.plant.states), "inputs": loop.plant.m},
         "controller": {"states": list(loop.controller.states)},
-        "target": {str(s): float(sp.N(found.x_star[s])) for s in loop.plant.x},
+        "target": {str(s): to_float(found.x_star[s]) for s in loop.plant.x},
         "verdict": None if verdict is None or casimirs is None else _verdict(verdict, casimirs),
         "design": None if found.design is None else design_block(found.design, found.certificate),
         "certificate": None
@@ -100,8 +100,8 @@ def _verdict(verdict: Verdict, casimirs: Casimirs) -> dict[str, Any]:
         "casimir_count": len(casimirs.functions),
         "casimir_count_generic": casimirs.generic_count,
         "kernel_rank": casimirs.kernel_rank,
-        "lambda": None if verdict.lam is None else [float(sp.N(v)) for v in verdict.lam],
-        "invisible": [[float(sp.N(v)) for v in row] for row in verdict.invisible.tolist()],
+        "lambda": None if verdict.lam is None else to_floats(verdict.lam).tolist(),
+        "invisible": [to_floats(row).tolist() for row in verdict.invisible.tolist()],
     }
 
 

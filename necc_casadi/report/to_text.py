@@ -18,6 +18,7 @@ from necc_casadi.export.sampled_loop import SampledLoop
 from necc_casadi.report.findings import Findings, attracts, region_claim
 from necc_casadi.report.to_json import design_block
 from necc_casadi.symbolic.expressions import to_text
+from necc_casadi.symbolic.floats import to_float
 from necc_casadi.verdict.verdict import Verdict
 
 __all__ = ["percent", "rounded_down", "summary"]
@@ -116,7 +117,7 @@ def _target(found: Findings) -> str:
         if many and value == 0:
             continue
         unit = found.loop.plant.units.get(str(symbol), "")
-        decimal = "" if value.is_Integer else f" = {float(sp.N(value)):.6g}"
+        decimal = "" if value.is_Integer else f" = {to_float(value):.6g}"
         parts.append(_tied(f"{symbol} = {sp.sstr(value)}{decimal} {unit}".rstrip()))
     if many:
         return f"{', '.join(parts[:_MANY])}{', …' if len(parts) > _MANY else ''}; zeros not listed"

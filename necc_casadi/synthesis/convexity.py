@@ -6,12 +6,12 @@ from collections.abc import Callable
 
 import casadi as ca
 import numpy as np
-import sympy as sp
 
 from necc_casadi.arrays import Vector
 from necc_casadi.lyapunov.lyapunov import Terms
 from necc_casadi.lyapunov.networks import KAPPA_MIN
 from necc_casadi.model.sizes import Sizes
+from necc_casadi.symbolic.floats import to_floats
 from necc_casadi.verdict.verdict import Verdict
 
 __all__ = ["least_kappa"]
@@ -83,7 +83,7 @@ def _hessians(
     reach[reach == 0] = 1.0
     lam = np.zeros(terms.r)
     if verdict.lam is not None and len(verdict.lam) == terms.r:
-        lam = np.array([float(sp.N(v)) for v in verdict.lam])
+        lam = to_floats(verdict.lam)
     stretch = ca.sumsqr(z[n:] / scales.state[n:]) + ca.sumsqr((c - c_star) / reach)
     V = terms.H(z[:n]) + ca.dot(lam, c) + kappa * scales.energy / 2 * stretch
     hessian = ca.Function("hessian", [z, kappa], [ca.hessian(V, z)[0]])

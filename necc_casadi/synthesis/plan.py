@@ -25,6 +25,7 @@ from necc_casadi.model.closed_loop import ClosedLoop
 from necc_casadi.model.rescale import exactly, rescaled_loop
 from necc_casadi.model.sizes import Sizes, natural_sizes, with_casimirs
 from necc_casadi.symbolic.expressions import is_finite
+from necc_casadi.symbolic.floats import to_floats
 from necc_casadi.synthesis.convexity import least_kappa
 from necc_casadi.synthesis.learned_casimir import casimir_penalty, state_inputs
 from necc_casadi.synthesis.options import Options, check_options, form_of
@@ -72,7 +73,7 @@ class Plan:
     @property
     def x(self) -> Vector:
         """x*, (n,)."""
-        return np.array([float(sp.N(v, 20)) for v in self.x_star])
+        return to_floats(self.x_star)
 
     @property
     def z(self) -> Vector:
@@ -99,7 +100,7 @@ def make_plan(
     form = form_of(options, loop.controller.nc, len(in_model.functions))
     guess = np.zeros(loop.controller.nc)
     if verdict.xi_star is not None:
-        guess = np.array([float(sp.N(v, 20)) for v in verdict.xi_star])
+        guess = to_floats(verdict.xi_star)
     sizes = natural_sizes(loop, found.functions, x_star, guess)
     sizes = with_casimirs(sizes, loop, in_model.functions, x_star, guess)
     ones = Sizes.ones(len(loop.z), loop.plant.m, len(in_model.functions))
