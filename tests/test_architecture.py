@@ -30,7 +30,7 @@ ORDER = (
 CERTIFICATE_ORDER = (("claims",), ("prover", "checker"))
 #: sympy up to here, CasADi from the next line on; these alone know both.
 SYMBOLIC = {"symbolic", "model", "casimirs", "verdict"}
-BOTH = {"lyapunov/sympy2casadi", "designs/design", "synthesis/convexity", "synthesis/sample_box"}
+BOTH = {"lyapunov/sympy2casadi", "synthesis/sample_box"}
 
 FILES = {
     path.relative_to(PACKAGE).with_suffix("").as_posix().removesuffix("/__init__"): path

@@ -114,5 +114,14 @@ def make_controller(
             f"Gc has shape {ports.rows}×{ports.cols}",
             f"Gc must be {nc}×{plant.m}: controller states by inputs.",
         )
-    properties = check_structure(interconnection, dissipation, ports, "c")
+    properties = check_structure(
+        interconnection,
+        dissipation,
+        ports,
+        "c",
+        code_skew="jc_not_skew",
+        code_symmetric="rc_not_psd",
+        code_psd="rc_not_psd",
+        code_rank="gc_rank",
+    )
     return Controller(xi, interconnection, dissipation, ports, properties)

@@ -150,23 +150,31 @@ def square_matrix(
 
 
 def check_structure(
-    J: sp.MatrixBase, R: sp.MatrixBase, G: sp.MatrixBase, suffix: Literal["", "c"] = ""
+    J: sp.MatrixBase,
+    R: sp.MatrixBase,
+    G: sp.MatrixBase,
+    suffix: str = "",
+    *,
+    code_skew: str,
+    code_symmetric: str,
+    code_psd: str,
+    code_rank: str,
 ) -> tuple[Property, Property, Property]:
-    """Decide J = −Jᵀ, R = Rᵀ ⪰ 0 and full rank of G, of the plant or, with "c", the controller.
+    """Decide J = −Jᵀ, R = Rᵀ ⪰ 0 and full rank of G; `suffix` is c for the controller's.
 
     Raises
     ------
     ModelError
-        ``j_not_skew, r_not_symmetric, r_not_psd, g_rank``, or ``jc_not_skew, rc_not_psd, gc_rank``.
+        With the code of the first of them that fails.
     """
     return (
-        _check_skew(J, f"J{suffix}"),
-        _check_psd(R, f"R{suffix}", "rc_not_psd" if suffix else "r_not_symmetric"),
-        _check_rank(G, f"G{suffix}"),
+        _decide_skew(J, f"J{suffix}", code_skew),
+        _decide_psd(R, f"R{suffix}", code_symmetric, code_psd),
+        _decide_rank(G, f"G{suffix}", code_rank),
     )
 
 
-def _check_skew(J: sp.MatrixBase, label: str) -> Property:
+def _decide_skew(J: sp.MatrixBase, label: str, code: str) -> Property:
     """Decide J = −Jᵀ entry by entry."""
     proved = True
     for i in range(J.rows):
@@ -175,7 +183,7 @@ def _check_skew(J: sp.MatrixBase, label: str) -> Property:
             verdict = is_zero(total)
             if verdict is False:
                 raise ModelError(
-                    f"{label.lower()}_not_skew",
+                    code,
                     f"{label} must be skew-symmetric: {label}[{j},{i}] + {label}[{i},{j}] = "
                     f"{sp.simplify(total)}",
                     f"Set {label}[{i},{j}] = -{label}[{j},{i}]"
@@ -185,7 +193,7 @@ def _check_skew(J: sp.MatrixBase, label: str) -> Property:
     return Property("skew", label, proved)
 
 
-def _check_psd(R: sp.MatrixBase, label: str, not_symmetric: str) -> Property:
+def _decide_psd(R: sp.MatrixBase, label: str, code_symmetric: str, code_psd: str) -> Property:
     """Decide R = Rᵀ ⪰ 0; what is undecided is sampled once the target is known."""
     proved = True
     for i in range(R.rows):
@@ -193,7 +201,7 @@ def _check_psd(R: sp.MatrixBase, label: str, not_symmetric: str) -> Property:
             verdict = is_zero(R[i, j] - R[j, i])
             if verdict is False:
                 raise ModelError(
-                    not_symmetric,
+                    code_symmetric,
                     f"{label} must be symmetric: {label}[{j},{i}] = {R[j, i]}, "
                     f"{label}[{i},{j}] = {R[i, j]}",
                     "Make the two entries equal; the skew part belongs into the other matrix.",
@@ -201,17 +209,17 @@ def _check_psd(R: sp.MatrixBase, label: str, not_symmetric: str) -> Property:
             proved = proved and verdict is True
     verdict = is_positive_semidefinite(sp.Matrix(R))
     if verdict is False:
-        raise ModelError(f"{label.lower()}_not_psd", *not_psd(R, label, {}))
+        raise ModelError(code_psd, *not_psd(R, label, {}))
     return Property("psd", label, proved and verdict is True)
 
 
-def _check_rank(G: sp.MatrixBase, label: str) -> Property:
+def _decide_rank(G: sp.MatrixBase, label: str, code: str) -> Property:
     """Decide that G has full rank (min of its sides) at generic points."""
     full = min(G.shape)
     rank = generic_rank(sp.Matrix(G))
     if rank < full:
         raise ModelError(
-            f"{label.lower()}_rank",
+            code,
             f"{label} has rank {rank}, but shape {G.rows}×{G.cols}",
             f"{label} needs full rank {full}: remove inputs that act alike.",
         )

@@ -165,7 +165,15 @@ def make_plant(
             f"G has shape {ports.rows}×{ports.cols}, but x has {n} states",
             f"G needs {n} rows and one column per input.",
         )
-    properties = check_structure(interconnection, dissipation, ports)
+    properties = check_structure(
+        interconnection,
+        dissipation,
+        ports,
+        code_skew="j_not_skew",
+        code_symmetric="r_not_symmetric",
+        code_psd="r_not_psd",
+        code_rank="g_rank",
+    )
     if u_limits is not None and len(u_limits) != ports.cols:
         raise ModelError(
             "limits",
