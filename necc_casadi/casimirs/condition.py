@@ -10,8 +10,9 @@ from necc_casadi.model.closed_loop import ClosedLoop
 from necc_casadi.symbolic.finite_field import NoFiniteFieldValue, values
 from necc_casadi.symbolic.linear_algebra import generic_rank
 from necc_casadi.symbolic.modular import rank
+from necc_casadi.symbolic.zero import is_zero
 
-__all__ = ["independent", "rates"]
+__all__ = ["independent", "is_casimir", "rates"]
 
 
 def rates(c: sp.Expr, loop: ClosedLoop) -> list[sp.Expr]:
@@ -23,6 +24,11 @@ def rates(c: sp.Expr, loop: ClosedLoop) -> list[sp.Expr]:
         if i in slopes:
             totals.setdefault(j, []).append(slopes[i] * entry)
     return [sp.Add(*totals.get(j, [])) for j in range(loop.n)]
+
+
+def is_casimir(c: sp.Expr, loop: ClosedLoop) -> bool:
+    """Whether `c` is proved to be a Casimir."""
+    return all(is_zero(rate) is True for rate in rates(c, loop))
 
 
 def independent(known: Sequence[sp.Expr], c: sp.Expr, z: Sequence[sp.Symbol]) -> bool:

@@ -9,6 +9,7 @@ import sympy as sp
 from necc_casadi.casimirs.casimirs import Casimirs
 from necc_casadi.model.closed_loop import ClosedLoop
 from necc_casadi.symbolic.definiteness import UNDECIDED
+from necc_casadi.symbolic.derivatives import at, value_at
 from necc_casadi.symbolic.expressions import is_finite
 from necc_casadi.symbolic.floats import to_float
 from necc_casadi.symbolic.linear_algebra import generic_rank, kernel
@@ -57,7 +58,7 @@ def _consequence(reason: Reason) -> str:
 def _off_equilibrium(loop: ClosedLoop, x_star: Mapping[sp.Symbol, sp.Expr]) -> str:
     values = []
     for equation in loop.plant.equilibrium_equations:
-        value = equation.subs({s: x_star[s] for s in equation.free_symbols})
+        value = value_at(equation, x_star)
         if is_zero(value) is not True:
             values.append(f"{short(equation)} = {number(value)}, which must be 0")
     detail = "; ".join(values[:2]) or "G⊥(J − R)∇H ≠ 0"
@@ -146,7 +147,7 @@ def _remedy(loop: ClosedLoop, x_star: Mapping[sp.Symbol, sp.Expr], w: sp.MatrixB
     if obstacle:
         return obstacle
     name = direction_name(loop.plant.x, w)
-    G = loop.plant.G.subs({s: x_star[s] for s in loop.plant.G.free_symbols})
+    G = at(loop.plant.G, x_star)
     if generic_rank(sp.Matrix(G).row_join(sp.Matrix(w))) == loop.plant.m:
         return (
             f"An input acts on {name}, but no Casimir ties it to the controller: try another "
@@ -163,8 +164,7 @@ def _dissipation_obstacle(
     if loop.R.is_zero_matrix:
         return None
     point = {**x_star, **{s: sp.Rational(3, 7) for s in loop.controller.xi}}
-    J = loop.J.subs({s: v for s, v in point.items() if s in loop.J.free_symbols})
-    R = loop.R.subs({s: v for s, v in point.items() if s in loop.R.free_symbols})
+    J, R = at(loop.J, point), at(loop.R, point)
     lossless = kernel(sp.Matrix(J))
     n = loop.plant.n
     for k in range(lossless.cols):
