@@ -13,6 +13,7 @@ import numpy as np
 import sympy as sp
 
 from necc_casadi.arrays import Vector
+from necc_casadi.model.sizes import power_of_two
 from necc_casadi.symbolic.definiteness import UNDECIDED, Definiteness, definiteness, rational
 from necc_casadi.symbolic.floats import float_matrix
 from necc_casadi.symbolic.linear_algebra import kernel, reduced_rows
@@ -67,7 +68,11 @@ def _along(Q: sp.Matrix, vector: sp.MatrixBase | None) -> sp.Expr | None:
 
 def _over_family(Q0: sp.Matrix, directions: Sequence[sp.Matrix], whiten: Vector) -> Curvature:
     numeric = [whiten @ float_matrix(Q) @ whiten.T for Q in (Q0, *directions)]
-    tau, ceiling, dual = _maximise_least_eigenvalue(numeric[0], numeric[1:])
+    sizes = [power_of_two(float(np.abs(Q).max()) or 1.0) for Q in numeric]
+    scaled = [Q / size for Q, size in zip(numeric, sizes, strict=True)]
+    tau, ceiling, dual = _maximise_least_eigenvalue(scaled[0], scaled[1:])
+    tau = tau * sizes[0] / np.array(sizes[1:])
+    ceiling = None if ceiling is None else ceiling * sizes[0]
     proposals = [np.zeros(len(directions)), tau]
     for proposal in proposals:
         for denominator in _SIMPLER_FIRST:
@@ -145,9 +150,16 @@ def _inner(P: sp.Matrix, Q: sp.Matrix) -> sp.Expr:
 def _maximise_least_eigenvalue(
     Q0: Vector, directions: Sequence[Vector]
 ) -> tuple[Vector, float | None, Vector]:
-    """(τ, sup of λ_min(Q(τ)) or None where unbounded, dual Z with trace 1) by a barrier method."""
+    """(τ, sup of λ_min(Q(τ)) or None where unbounded, dual Z with trace 1) by a barrier method.
+
+    The matrices are given with entries of order 1.
+
+    References
+    ----------
+    Vandenberghe and Boyd (1996).
+    """
     size, Q = len(Q0), np.array(directions)
-    data = float(np.abs(Q0).max()) or float(np.abs(Q).max())
+    data = max(1.0, float(np.abs(Q0).max()))
     tau, t = np.zeros(len(directions)), float(np.linalg.eigvalsh(Q0)[0]) - data
     dual, mu = np.eye(size) / size, data
     while mu * size > 1e-10 * data:
@@ -175,8 +187,9 @@ def _newton_step(dual: Vector, Q: Vector, mu: float) -> tuple[Vector, float]:
     gradient = np.array([np.trace(P) for P in parts])
     gradient[-1] += 1.0
     hessian = np.array([[np.sum(P * S.T) for S in parts] for P in parts]) / mu
-    hessian[:count, :count] += 1e-14 * np.eye(count)
-    step: Vector = np.asarray(np.linalg.lstsq(hessian, gradient, rcond=1e-13)[0], dtype=float)
+    # a direction of no curvature is followed, far, if the gradient points along it: no ceiling
+    hessian[:count, :count] += 1e-12 * np.diag(hessian).max() * np.eye(count)
+    step: Vector = np.asarray(np.linalg.lstsq(hessian, gradient, rcond=1e-15)[0], dtype=float)
     return step, float(gradient @ step)
 
 
