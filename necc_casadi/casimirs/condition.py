@@ -1,4 +1,9 @@
-"""The Casimir condition ∇Cᵀ(Jcl − Rcl) = 0 (eq. CasimirCondition)."""
+"""The Casimir condition ∇Cᵀ(Jcl − Rcl) = 0 (eq. CasimirCondition).
+
+References
+----------
+van der Schaft (2017), chapter 7.
+"""
 
 from __future__ import annotations
 

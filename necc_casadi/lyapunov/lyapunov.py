@@ -4,6 +4,10 @@ C = K(Σ βᵢ(cᵢ))  or  K(c₁, …, c_r)                         eq. casimir
 u  = −Gcᵀ∇Hc − D Gᵀ ∂V/∂x                                 Lemma EnergyCasimirControl
 ξ̇  = (Jc − Rc)∇Hc + Gc Gᵀ∇H − Gc Dc Gcᵀ ∂V/∂ξ
 ż  = (M/Φ₁ − 𝒢𝒟𝒢ᵀ)∇V,  M = Jcl − Rcl                      docs/theory.md#decrease
+
+References
+----------
+van der Schaft (2017), Proposition 7.1.8.
 """
 
 from __future__ import annotations

@@ -5,6 +5,10 @@ A network is data: its shape here, its weights in one flat vector. The value is
     f(v) = W_L σ(… σ(W_1 v + b_1) …) + b_L   [+ Σ ½ κᵢ (vᵢ − oᵢ)²  if `quadratic`]
 
 with σ element-wise. Weight layout: W_1 (row by row), b_1, …, W_L, b_L, then κ, o.
+
+References
+----------
+Barron (2021), squareplus.
 """
 
 from __future__ import annotations

@@ -1,4 +1,9 @@
-"""Closed expressions and matrices in ball arithmetic."""
+"""Closed expressions and matrices in ball arithmetic.
+
+References
+----------
+Johansson (2017).
+"""
 
 from __future__ import annotations
 

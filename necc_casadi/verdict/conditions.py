@@ -1,6 +1,10 @@
 """What eq. LocalMinimumCondition asks of a target: exact derivatives, gradient, curvature.
 
 With N = ∇ₓc(x*, ξ*) and W a basis of ker Nᵀ: ∇H + Nλ = 0 and Wᵀ∇²ₓ(H + Σ λᵢcᵢ)W ≻ 0.
+
+References
+----------
+Finsler (1937).
 """
 
 from __future__ import annotations

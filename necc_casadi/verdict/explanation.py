@@ -1,4 +1,9 @@
-"""The verdict in plain words: what fails, which coordinate, what would help."""
+"""The verdict in plain words: what fails, which coordinate, what would help.
+
+References
+----------
+Ortega, van der Schaft, Mareels and Maschke (2001), the dissipation obstacle.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Verdict at a target, before any training: whether ∇V = 0 and ∇²V ≻ 0 can be assigned there.
+"""Verdict at a target, before any training: whether eq. LocalMinimumCondition can be assigned.
 
 With N = ∇ₓc(x*, ξ*) for the Casimirs c and W a basis of ker Nᵀ, the target is assignable iff for
 some (ξ*, λ)

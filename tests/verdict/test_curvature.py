@@ -57,6 +57,16 @@ def test_units_of_energy_and_of_casimirs_change_no_verdict(unit, first):
         assert there.ceiling / float(energy) == pytest.approx(here.ceiling, abs=1e-6)
 
 
+@pytest.mark.parametrize(
+    ("base", "directions"),
+    [(-2, [-6]), (0, [-4, 0]), (2, [-4]), (-2, [4]), (2, [4, 4, -2]), (0, [1]), (-1, [0, 1])],
+)
+def test_one_free_multiplier_lifts_one_curvature_without_end(base, directions):
+    best = best_curvature(sp.Matrix([base]), [sp.Matrix([d]) for d in directions], sp.eye(1))
+    assert (best.kind, best.ceiling) == ("positive", None)
+    assert base + sum(t * d for t, d in zip(best.tau, directions, strict=True)) > 0
+
+
 @given(
     matrices(rows=(2, 3), columns=(3, 3)), matrices(rows=(3, 3), columns=(3, 3)),
     matrices(rows=(3, 3), columns=(3, 3)),
