@@ -111,7 +111,7 @@ def share_below(made: Design, level: float) -> float:
     """Share of the whole domain, momenta included, on which V ≤ level, by samples."""
     domain = made.domain
     points = domain.lo + quasi_random(SAMPLES, made.loop.n, 0) * (domain.hi - domain.lo)
-    values = np.asarray(made.lyapunov.V.map(SAMPLES)(points.T), float)
+    values = made.lyapunov.V(points)
     return float((values <= level).mean())
 
 

@@ -79,7 +79,7 @@ class Design(Parts):
 
     @cached_property
     def lyapunov(self) -> LyapunovFunction:
-        """V, its derivatives and the control law as CasADi functions."""
+        """V, its derivatives, its control law and its closed loop."""
         terms = make_terms(self.loop, self.casimirs)
         return LyapunovFunction(terms, self.form, self.weights, self.D, self.Dc)
 
@@ -90,12 +90,11 @@ class Design(Parts):
 
     def control(self, x: npt.ArrayLike, xi: npt.ArrayLike) -> tuple[Vector, Vector]:
         """The controller: plant state (n,), controller state (nc,) -> u (m,), ξ̇ (nc,)."""
-        u, xi_dot = self.lyapunov.control_law.call([np.asarray(x, float), np.asarray(xi, float)])
-        return np.asarray(u, float).ravel(), np.asarray(xi_dot, float).ravel()
+        return self.lyapunov.control_law(x, xi)
 
     def V(self, z: npt.ArrayLike) -> float:
         """The Lyapunov function at z = (x, ξ), (n + nc,)."""
-        return float(self.lyapunov.V(np.asarray(z, float)))
+        return float(self.lyapunov.V(z))
 
     @cached_property
     def z_bar(self) -> Vector:
@@ -104,8 +103,8 @@ class Design(Parts):
             return self.natural.z_bar * self.units.state
         z = self.z_star
         for _ in range(20):
-            g = np.asarray(self.lyapunov.gradient(z), float).ravel()
-            step = np.linalg.lstsq(np.asarray(self.lyapunov.hessian(z), float), g, rcond=None)[0]
+            g, hessian = self.lyapunov.gradient(z), self.lyapunov.hessian(z)
+            step = np.linalg.lstsq(hessian, g, rcond=None)[0]
             z = z - step
             if np.linalg.norm(step) <= 4 * np.finfo(float).eps * max(1.0, float(np.linalg.norm(z))):
                 break

@@ -25,4 +25,4 @@ def loss(design: Design) -> float:
 def gradient_and_hessian(design: Design) -> tuple[np.ndarray, np.ndarray]:
     """∇V (N,) and ∇²V (N, N) at z*."""
     V, z = design.lyapunov, design.z_star
-    return np.asarray(V.gradient(z), float).ravel(), np.asarray(V.hessian(z), float)
+    return V.gradient(z), V.hessian(z)

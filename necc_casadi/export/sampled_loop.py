@@ -83,7 +83,7 @@ def largest_stable_time(design: Design, integrator: str = "heun") -> float | Non
 def _linear_parts(design: Design) -> tuple[Vector, ...]:
     """A (n × n), G (n × m), u_x, u_ξ, f_x, f_ξ at z̄ and its holding input, natural units."""
     design = design.natural
-    terms, law = design.lyapunov.terms, design.lyapunov.control_law
+    terms, law = design.lyapunov.terms, design.lyapunov.control_law_function
     x, xi, u = (ca.MX.sym(s, k) for s, k in (("x", terms.n), ("xi", terms.nc), ("u", terms.m)))
     law_u, law_f = law.call([x, xi])
     plant = terms.F(x) @ terms.grad_H(x) + terms.G(x) @ u

@@ -28,7 +28,7 @@ _SATURATED = 1
 
 def reference_step(design: Design, integrator: str) -> ca.Function:
     """(x, ξ, dt) -> (u, ξ after dt): one sample with x held, before saturation."""
-    terms, law = design.lyapunov.terms, design.lyapunov.control_law
+    terms, law = design.lyapunov.terms, design.lyapunov.control_law_function
     x, xi, dt = ca.MX.sym("x", terms.n), ca.MX.sym("xi", terms.nc), ca.MX.sym("dt")
     u, k1 = law.call([x, xi])
     if integrator == "euler":
@@ -60,7 +60,7 @@ def rounding_scales(design: Design) -> ca.Function:
     energy = terms.H(x) + form.controller_energy(w)(xi)
     pull = ca.fabs(gamma(energy, terms.c(z)))
     slopes = ca.fabs(ca.jacobian(terms.c(z), z)).T @ pull
-    phi_1 = V.phi_slope(z)
+    phi_1 = V.phi_slope_function(z)
     G, Gc = ca.fabs(terms.G(x)), ca.fabs(terms.Gc(xi))
     grad_H, grad_Hc = ca.fabs(terms.grad_H(x)), ca.fabs(grad_Hc)
     V_x, V_xi = phi_1 * grad_H + slopes[: terms.n], phi_1 * grad_Hc + slopes[terms.n :]

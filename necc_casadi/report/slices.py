@@ -71,7 +71,7 @@ def telling_pair(design: Design) -> tuple[int, int]:
 
     natural = design.natural
     scale = natural.sizes.state[:n] ** 2
-    stiffness = scale * np.diag(np.asarray(natural.lyapunov.hessian(natural.z_bar), float))[:n]
+    stiffness = scale * np.diag(natural.lyapunov.hessian(natural.z_bar))[:n]
     x = ca.MX.sym("x", n)
     own = ca.Function("own", [x], [ca.hessian(natural.lyapunov.terms.H(x), x)[0]])
     change = stiffness - scale * np.diag(np.asarray(own(natural.z_bar[:n]), float))
@@ -97,9 +97,9 @@ def slice_values(design: Design, window: Window) -> tuple[Vector, Vector, Vector
     A, B = np.meshgrid(
         *(np.linspace(lo, hi, _GRID) for lo, hi in zip(window.lo, window.hi, strict=True))
     )
-    points = np.repeat(design.z_star[:, None], A.size, axis=1)
-    points[list(window.pair)] = A.ravel(), B.ravel()
-    values = np.asarray(design.lyapunov.V.map(A.size)(points), float).reshape(A.shape)
+    points = np.repeat(design.z_star[None, :], A.size, axis=0)
+    points[:, window.pair[0]], points[:, window.pair[1]] = A.ravel(), B.ravel()
+    values = design.lyapunov.V(points).reshape(A.shape)
     values[~np.isfinite(values)] = np.nan
     return A, B, values - design.V(design.z_bar)
 
@@ -171,7 +171,7 @@ def _followed(
         trial = points.copy()
         trial[shown] = start + (radius + step) * rays
         trial = _lowest(design, trial, rest)
-        values = np.asarray(design.lyapunov.V.map(count)(trial), float).ravel()
+        values = design.lyapunov.V(trial.T)
         seen = (trial[shown] >= lo) & (trial[shown] <= hi)
         moved: npt.NDArray[np.bool_] = moving & seen.all(0) & (values <= level)
         points[:, moved] = trial[:, moved]
@@ -191,7 +191,7 @@ def _followed(
 
 def _unit_rise(design: Design, shown: list[int], rest: list[int]) -> Vector:
     """T with min V over `rest` ≈ V(z̄) + ½|v|² at z̄ + Tv in the states `shown`."""
-    hessian = np.asarray(design.lyapunov.hessian(design.z_bar), float)
+    hessian = design.lyapunov.hessian(design.z_bar)
     coupling = hessian[np.ix_(rest, shown)]
     follow = np.linalg.solve(hessian[np.ix_(rest, rest)], coupling)
     reduced = hessian[np.ix_(shown, shown)] - coupling.T @ follow
@@ -201,19 +201,17 @@ def _unit_rise(design: Design, shown: list[int], rest: list[int]) -> Vector:
 def _lowest(design: Design, points: Vector, rest: list[int]) -> Vector:
     """Points (n + nc, B) moved down V along the states `rest`: Newton's method, never uphill."""
     V, count = design.lyapunov, points.shape[1]
-    values = np.asarray(V.V.map(count)(points), float).ravel()
+    values = V.V(points.T)
     for _ in range(_NEWTON if rest else 0):
-        g = np.asarray(V.gradient.map(count)(points), float)[rest].T
-        hessians = np.asarray(V.hessian.map(count)(points), float)
-        hessians = hessians.reshape(len(points), count, len(points)).transpose(1, 0, 2)
-        bends, axes = np.linalg.eigh(hessians[:, rest][:, :, rest])
+        g = V.gradient(points.T)[:, rest]
+        bends, axes = np.linalg.eigh(V.hessian(points.T)[:, rest][:, :, rest])
         bends = np.maximum(np.abs(bends), 1e-6)  # downhill where V is not convex, too
         move = -np.einsum("bij,bj->bi", axes, np.einsum("bji,bj->bi", axes, g) / bends)
         size = np.ones(count)
         for _ in range(_BACKTRACKS):
             trial = points.copy()
             trial[rest] += (size[:, None] * move).T
-            found = np.asarray(V.V.map(count)(trial), float).ravel()
+            found = V.V(trial.T)
             better = found < values
             points = np.where(better, trial, points)
             values = np.where(better, found, values)

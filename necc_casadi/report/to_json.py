@@ -23,7 +23,7 @@ __all__ = ["design_block", "to_json"]
 def design_block(design: Design, certificate: Certificate | None) -> dict[str, Any]:
     """The ``design`` block of the JSON; ``bound_paper`` is ε/(a − ε) of eq. ErrorUpperBound."""
     g, _ = gradient_and_hessian(design)
-    at_bar = np.asarray(design.lyapunov.hessian(design.z_bar), float)
+    at_bar = design.lyapunov.hessian(design.z_bar)
     epsilon = loss(design)
     spectrum = design.spectrum
     return {

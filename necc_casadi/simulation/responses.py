@@ -185,13 +185,12 @@ def simulate(
     grid = np.linspace(0.0, horizon, points)
     states, cut = _integrated(natural, z0, grid / units.time, patience)
     n, count = V.terms.n, len(states)
-    inputs, _ = V.control_law.map(count).call([states[:, :n].T, states[:, n:].T])
-    values = V.V.map(count)(states.T)
+    inputs, _ = V.control_law(states[:, :n], states[:, n:])
     return Trajectory(
         t=grid[:count],
         z=states * units.state,
-        u=np.asarray(inputs, float).reshape(V.terms.m, count).T * units.input,
-        V=np.asarray(values, float).ravel() * units.energy,
+        u=inputs * units.input,
+        V=V.V(states) * units.energy,
         z_bar=design.z_bar,
         V_bar=natural.V(natural.z_bar) * units.energy,
         complete=count == points and bool(np.all(np.isfinite(states))),
@@ -231,6 +230,6 @@ def _integrator(design: Design, step: float, count: int) -> ca.Function:
         "show_eval_warnings": False,
         "disable_internal_warnings": True,
     }
-    field = {"x": z, "ode": design.lyapunov.vector_field(z)}
+    field = {"x": z, "ode": design.lyapunov.vector_field_function(z)}
     grid = (step * np.arange(1, count + 1)).tolist()
     return ca.integrator("response", "cvodes", field, 0.0, grid, options)
