@@ -14,7 +14,7 @@ PACKAGE = Path(necc_casadi.__file__).parent
 #: Folders and top-level files in the order of the theory. Each imports from lines above its own
 #: only; what shares a line does not know each other.
 ORDER = (
-    ("errors", "arrays", "interrupts"),
+    ("errors", "arrays", "cases", "interrupts"),
     ("files",),
     ("symbolic",),
     ("model",),
@@ -113,7 +113,8 @@ def test_at_most_eight_files_at_the_top():
 
 
 def test_errors_and_outcomes_rest_on_nothing():
-    assert inside("errors") == inside("designs/outcome") == set()
+    assert inside("errors") == inside("cases") == set()
+    assert inside("designs/outcome") == {"cases"}
     assert foreign("errors") <= {"__future__"}
 
 

@@ -18,13 +18,14 @@ import casadi as ca
 import numpy as np
 
 from necc_casadi.arrays import Vector
+from necc_casadi.cases import Integrator
 from necc_casadi.designs.design import Design
 
 __all__ = ["ORDERS", "SampledLoop", "analyse_sampling", "largest_stable_time", "spectral_radius"]
 
 
 #: Methods that advance ξ over one sample, x held: name -> order.
-ORDERS = {"euler": 1, "heun": 2, "rk4": 4}
+ORDERS: dict[Integrator, int] = {"euler": 1, "heun": 2, "rk4": 4}
 
 
 @dataclass(frozen=True)
@@ -37,7 +38,9 @@ class SampledLoop:
     warning: str | None
 
 
-def analyse_sampling(design: Design, sample_time: float, integrator: str = "heun") -> SampledLoop:
+def analyse_sampling(
+    design: Design, sample_time: float, integrator: Integrator = "heun"
+) -> SampledLoop:
     """Spectral radius at `sample_time` (s), the largest stable one, a warning past half of it."""
     radius = spectral_radius(design, sample_time, integrator)
     largest = largest_stable_time(design, integrator)
@@ -52,12 +55,12 @@ def analyse_sampling(design: Design, sample_time: float, integrator: str = "heun
     return SampledLoop(sample_time, radius, largest, warning)
 
 
-def spectral_radius(design: Design, sample_time: float, integrator: str = "heun") -> float:
+def spectral_radius(design: Design, sample_time: float, integrator: Integrator = "heun") -> float:
     """Spectral radius of the sampled loop at z̄; `sample_time` in s."""
     return _radius(_linear_parts(design), sample_time / design.units.time, ORDERS[integrator])
 
 
-def largest_stable_time(design: Design, integrator: str = "heun") -> float | None:
+def largest_stable_time(design: Design, integrator: Integrator = "heun") -> float | None:
     """The sample time (s) up to which the sampled loop is stable at z̄, to three digits.
 
     Found by a scan in steps of 5 % from a thousandth of the fastest time constant upwards, then

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import get_args
 
 import numpy as np
 
+from necc_casadi.cases import Integrator, Precision
 from necc_casadi.designs.design import Design
 from necc_casadi.errors import OptionError
 from necc_casadi.export.casadi2c import Real
@@ -30,15 +32,17 @@ class Source:
     """
 
     design: Design
-    real: str = "double"
+    real: Precision = "double"
     sample_time: float | None = None  # s
-    integrator: str = "heun"
+    integrator: Integrator = "heun"
     certificate_hash: str | None = None
     claims: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        if self.real not in ("double", "float"):
-            raise OptionError("usage", f"real = {self.real!r}", "Use double or float.")
+        if self.real not in get_args(Precision):
+            raise OptionError(
+                "usage", f"real = {self.real!r}", f"Use {' or '.join(get_args(Precision))}."
+            )
         if self.integrator not in ORDERS:
             raise OptionError(
                 "usage", f"integrator = {self.integrator!r}", f"Use {', '.join(ORDERS)}."

@@ -8,6 +8,7 @@ import casadi as ca
 import numpy as np
 
 from necc_casadi.arrays import Vector
+from necc_casadi.cases import Integrator
 from necc_casadi.designs.design import Design
 from necc_casadi.export.casadi2c import Real
 from necc_casadi.export.source import Source
@@ -26,7 +27,7 @@ _COUNT = 16
 _SATURATED = 1
 
 
-def reference_step(design: Design, integrator: str) -> ca.Function:
+def reference_step(design: Design, integrator: Integrator) -> ca.Function:
     """(x, ξ, dt) -> (u, ξ after dt): one sample with x held, before saturation."""
     terms, law = design.lyapunov.terms, design.lyapunov.control_law_function
     x, xi, dt = ca.MX.sym("x", terms.n), ca.MX.sym("xi", terms.nc), ca.MX.sym("dt")

@@ -22,6 +22,7 @@ import casadi as ca
 import numpy as np
 
 from necc_casadi.arrays import Vector
+from necc_casadi.cases import Activation
 
 __all__ = ["ACTIVATIONS", "KAPPA_MIN", "MonotonePhi", "Network"]
 
@@ -52,7 +53,7 @@ def _squareplus(v: ca.MX) -> ca.MX:
 
 
 #: Smooth activations, element-wise. squareplus: Barron (2021), a convex, smooth ReLU.
-ACTIVATIONS: dict[str, Callable[[ca.MX], ca.MX]] = {
+ACTIVATIONS: dict[Activation, Callable[[ca.MX], ca.MX]] = {
     "tanh": ca.tanh,
     "sin": ca.sin,
     "squareplus": _squareplus,
@@ -65,7 +66,7 @@ class Network:
 
     inputs: int  # d
     hidden: tuple[int, ...]  # widths of the hidden layers
-    activation: str = "tanh"  # key of ACTIVATIONS
+    activation: Activation = "tanh"
     quadratic: bool = False  # adds Σ ½ κᵢ (vᵢ − oᵢ)² with κ > 0
 
     @property

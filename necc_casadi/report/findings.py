@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import sympy as sp
 
@@ -12,6 +13,7 @@ from necc_casadi.certificate.claims.certificate import Certificate
 from necc_casadi.certificate.claims.claim import Claim
 from necc_casadi.designs.design import Design
 from necc_casadi.designs.error_bound import natural_loss
+from necc_casadi.designs.measures import Measures, measure
 from necc_casadi.export.sampled_loop import SampledLoop
 from necc_casadi.model.closed_loop import ClosedLoop
 from necc_casadi.simulation.responses import Trajectory
@@ -24,9 +26,26 @@ __all__ = ["Findings", "SweepPoint", "attracts", "region_claim"]
 ACCEPTED_LOSS = 1e-6
 
 
-@dataclass
+@dataclass(frozen=True)
+class SweepPoint:
+    """What one value of a gave: the paper's third figure, and the proved region.
+
+    Shares are of the domain, momenta at rest.
+    """
+
+    a: float
+    loss: float  # ε
+    distance: float  # ‖z̄ − z*‖
+    bound_paper: float | None  # ε/(a − ε), None where a ≤ ε
+    bound_rigorous: float | None  # g/μ, None where nothing was proved
+    domain_share: float | None = None  # at least this much is proved; None: no region is
+    simulated_share: float | None = None  # converges in simulation; None: not known
+    limited_by: str | None = None  # what keeps the proved region from growing
+
+
+@dataclass(frozen=True, eq=False)
 class Findings:
-    """Everything one run has found so far; what was not reached is None."""
+    """Everything that one run found; what was not reached is None."""
 
     loop: ClosedLoop
     x_star: Mapping[sp.Symbol, sp.Expr]
@@ -38,9 +57,14 @@ class Findings:
     simulated_share: float | None = None  # of the domain, momenta at rest
     sampling: SampledLoop | None = None
     sweep: Sequence[SweepPoint] = ()
-    notes: list[str] = field(default_factory=list)
-    files: list[str] = field(default_factory=list)
-    timings: dict[str, float] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+    files: tuple[str, ...] = ()  # relative to the folder that was written
+    timings: Mapping[str, float] = field(default_factory=dict)  # s, by stage
+
+    @cached_property
+    def measures(self) -> Measures | None:
+        """What the design reached."""
+        return None if self.design is None else measure(self.design)
 
     @property
     def status(self) -> str:
@@ -71,20 +95,3 @@ def region_claim(certificate: Certificate) -> Claim | None:
 def attracts(region: Claim) -> bool:
     """Whether a proved region is one of attraction; otherwise it is invariant, no more."""
     return region.holds and region.data.get("follows") == "converges"
-
-
-@dataclass(frozen=True)
-class SweepPoint:
-    """What one value of a gave: the paper's third figure, and the proved region.
-
-    Shares are of the domain, momenta at rest.
-    """
-
-    a: float
-    loss: float  # ε
-    distance: float  # ‖z̄ − z*‖
-    bound_paper: float | None  # ε/(a − ε), None where a ≤ ε
-    bound_rigorous: float | None  # g/μ, None where nothing was proved
-    domain_share: float | None = None  # at least this much is proved; None: no region is
-    simulated_share: float | None = None  # converges in simulation; None: not known
-    limited_by: str | None = None  # what keeps the proved region from growing

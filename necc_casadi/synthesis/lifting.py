@@ -165,7 +165,10 @@ class Lifting:
         return np.asarray(g, float).ravel(), np.asarray(N, float)
 
     def loss(self, w: Vector, xi: Vector, a: float | Vector) -> float:
-        """ε of eq. Loss from weights and ξ*, by eigenvalues."""
+        """ε of eq. Loss as the solver sees it, through the lifted variables that w and ξ* imply.
+
+        Of a finished design, :mod:`necc_casadi.designs.error_bound` asks V itself.
+        """
         g, N = self.at(self.jets_at(w, xi))
         return float(np.linalg.norm(g) + max(0.0, -np.linalg.eigvalsh(N - a * np.eye(len(N)))[0]))
 

@@ -133,7 +133,7 @@ def make_plan(
     if options.learn_casimir:
         penalty = casimir_penalty(terms, form, natural, plan.z, options.seed)
         return replace(plan, extra=penalty)
-    return plan if options.shape == "none" else replace(plan, extra=_shaping(plan, options))
+    return replace(plan, extra=_shaping(plan, options))
 
 
 def _curvature(
@@ -170,8 +170,11 @@ def _anchor(plan: Plan, verdict: Verdict, options: Options) -> Anchor:
     return anchor
 
 
-def _shaping(plan: Plan, options: Options) -> Shaping:
+def _shaping(plan: Plan, options: Options) -> Shaping | None:
     """What is asked of V over samples of the domain."""
+    asked = options.shaping
+    if asked is None:
+        return None
     if plan.form.betas:
         raise OptionError(
             "usage",
@@ -181,9 +184,8 @@ def _shaping(plan: Plan, options: Options) -> Shaping:
     momenta = find_momenta(plan.loop, plan.casimirs, plan.x_star)
     natural = plan.natural
     box = sample_box(plan.loop, plan.casimirs, plan.terms, plan.z, natural.state, momenta)
-    gamma = 1.0 if options.gamma is None else options.gamma
     a = float((plan.curvature * natural.state**2).min())
-    return make_shaping(options.shape, box, natural.state, natural.energy, a, gamma, options.seed)
+    return make_shaping(asked, box, natural.state, natural.energy, a, options.seed)
 
 
 def _inputs(

@@ -10,6 +10,7 @@ import casadi as ca
 import numpy as np
 
 from necc_casadi.arrays import Vector
+from necc_casadi.cases import Mode
 from necc_casadi.synthesis.lifting import Lifting
 
 __all__ = ["Program", "hard_program", "soft_program", "with_level"]
@@ -23,7 +24,7 @@ _ZERO = 1e-12
 class Program:
     """Objective and constraints in the lifted variables and extra ones; networks come later."""
 
-    mode: str  # "hard" or "soft"
+    mode: Mode
     extra: ca.SX  # variables besides the lifted ones
     lower: Vector  # lower bounds of `extra`
     objective: ca.SX
