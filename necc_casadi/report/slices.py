@@ -16,7 +16,7 @@ from necc_casadi.designs.design import Design
 __all__ = [
     "Window",
     "domain_window",
-    "extent",
+    "ray_ends",
     "shadow",
     "slice_boundary",
     "slice_values",
@@ -126,22 +126,27 @@ def shadow(design: Design, level: float, window: Window) -> Vector:
     """
     angle = np.linspace(0, 2 * np.pi, _RAYS, endpoint=False)
     circle = np.stack([np.cos(angle), np.sin(angle)])
-    return _in_natural_units(design, level, list(window.pair), circle, (window.lo, window.hi))
+    return ray_ends(design, level, list(window.pair), circle, (window.lo, window.hi))
 
 
-def extent(design: Design, level: float) -> Vector:
-    """Least and greatest value of each state on Ω, (n + nc, 2); computed like :func:`shadow`."""
-    lo, hi = design.domain.lo, design.domain.hi
-    both = np.array([[-1.0, 1.0]])
-    sides = [(lo[[k]], hi[[k]]) for k in range(len(lo))]
-    ends = [_in_natural_units(design, level, [k], both, side) for k, side in enumerate(sides)]
-    return np.array(ends)[..., 0]
-
-
-def _in_natural_units(
+def ray_ends(
     design: Design, level: float, shown: list[int], directions: Vector, box: tuple[Vector, Vector]
 ) -> Vector:
-    """:func:`_followed` in natural units."""
+    """Where rays from z̄ leave Ω in the states `shown`, whatever the others, (rays, shown).
+
+    Parameters
+    ----------
+    design
+        The design.
+    level
+        Ω = {V ≤ level}, near z̄.
+    shown
+        Indices of states in z.
+    directions
+        Of the rays, of length 1 in units in which V rises alike in all of them, (shown, rays).
+    box
+        Least and greatest values of these states, where rays end at the latest.
+    """
     units, (lo, hi) = design.units, box
     size = units.state[shown]
     ends = _followed(
