@@ -2,7 +2,6 @@
 
 import json
 import re
-import time
 from pathlib import Path
 
 import pytest
@@ -235,10 +234,8 @@ def test_an_output_folder_that_cannot_be_made(tmp_path):
     """A path below a regular file: nobody can write there, not even root."""
     (tmp_path / "file").write_text("mine")
     for out in (tmp_path / "file" / "below", tmp_path / "file"):
-        began = time.perf_counter()
         done = process(DESIGN, PENDULUM, "--target", "pi/4", "--json", "--out", out, cwd=tmp_path)
         check_refusal((done.returncode, done.stdout, done.stderr), "output", str(out))
-        assert time.perf_counter() - began < 30
     assert (tmp_path / "file").read_text() == "mine"
     assert [path.name for path in tmp_path.iterdir()] == ["file"]
 
