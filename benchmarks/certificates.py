@@ -174,7 +174,7 @@ def holds_again(made: Design, certificate: Certificate) -> bool:
 
 def values(made: Design, points: np.ndarray) -> np.ndarray:
     """V at states (B, n + nc)."""
-    return np.asarray(made.lyapunov.V(points.T), float).ravel()
+    return made.lyapunov.V(points)
 
 
 def possible_share(made: Design, resting: Sequence[int]) -> float | None:

@@ -115,7 +115,7 @@ def text_size(library: Path) -> int:
 
 def casadi_law(design: Design, expand: bool) -> ca.Function:
     """The control law as one function for CasADi's code generator."""
-    law = design.lyapunov.control_law
+    law = design.lyapunov.control_law_function
     return law.expand("law") if expand else ca.Function("law", law.mx_in(), law.call(law.mx_in()))
 
 
@@ -225,7 +225,7 @@ def forward(design: Design, tanh: Callable, asarray: Callable) -> Callable:
 
 def casadi_peers(design: Design, folder: Path) -> Iterator[tuple[str, Callable[[], object]]]:
     """CasADi's virtual machine, and its compiled code through buffer()."""
-    law = design.lyapunov.control_law
+    law = design.lyapunov.control_law_function
     yield "CasADi Function", lambda: law(*POINT)
     casadi_law(design, expand=True).generate("law.c")
     compile_to(folder / "law.so", Path("law.c"), NATIVE)

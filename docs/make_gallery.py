@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import sympy as sp
 
-from necc_casadi import certify, design
+from necc_casadi import Design, certify, design
 from necc_casadi.model.model_file import load_model
 from necc_casadi.pipeline.request import Request
 from necc_casadi.pipeline.run import run_design
@@ -26,7 +26,7 @@ from necc_casadi.report.figures import (
     write_figure,
 )
 from necc_casadi.report.findings import Findings, attracts, region_claim
-from necc_casadi.report.slices import extent
+from necc_casadi.report.slices import ray_ends
 from necc_casadi.report.to_text import percent, rounded_down
 from necc_casadi.simulation.responses import simulate
 from necc_casadi.synthesis.options import Options
@@ -204,6 +204,15 @@ def outcome(run: Run) -> str:
         write_figure(figure, IMAGES / picture, dpi=70)
         rows.append(f"![{found.loop.plant.name}: {name}](images/{picture})\n")
     return "\n".join(rows)
+
+
+def extent(made: Design, level: float) -> np.ndarray:
+    """Least and greatest value of each state on Ω, (n + nc, 2); computed, not proved."""
+    lo, hi = made.domain.lo, made.domain.hi
+    both = np.array([[-1.0, 1.0]])
+    sides = [(lo[[k]], hi[[k]]) for k in range(len(lo))]
+    ends = [ray_ends(made, level, [k], both, side) for k, side in enumerate(sides)]
+    return np.array(ends)[..., 0]
 
 
 def reach(found: Findings, level: float) -> str:

@@ -2,13 +2,30 @@
 
 from __future__ import annotations
 
+import json
+import math
 import os
 import tempfile
 from pathlib import Path
+from typing import Any
 
 from necc_casadi.errors import OutputError
 
-__all__ = ["check_writable", "write_text"]
+__all__ = ["check_writable", "finite", "to_json_text", "write_text"]
+
+
+def finite(value: Any) -> Any:
+    """The same data with None for numbers that are not finite, and lists for tuples."""
+    if isinstance(value, dict):
+        return {key: finite(entry) for key, entry in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [finite(entry) for entry in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def to_json_text(value: Any, indent: int | None = None) -> str:
+    """Strict JSON, one line unless indented; null for numbers that are not finite."""
+    return json.dumps(finite(value), indent=indent, ensure_ascii=False, allow_nan=False)
 
 
 def write_text(path: Path, content: str | bytes) -> Path:

@@ -9,11 +9,12 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Literal, NamedTuple
 
 import numpy as np
 import sympy as sp
 
-from necc_casadi.casimirs.condition import independent, rates
+from necc_casadi.casimirs.condition import independent, is_casimir
 from necc_casadi.casimirs.integrability import integrated_kernel
 from necc_casadi.casimirs.vocabulary import (
     MOST_WORDS,
@@ -25,13 +26,13 @@ from necc_casadi.casimirs.vocabulary import (
     unique,
 )
 from necc_casadi.model.closed_loop import ClosedLoop
+from necc_casadi.symbolic.derivatives import value_at
 from necc_casadi.symbolic.expressions import is_finite
 from necc_casadi.symbolic.finite_field import NoFiniteFieldValue, Residues, values
 from necc_casadi.symbolic.linear_algebra import constant_kernel
 from necc_casadi.symbolic.modular import null_basis, nullspace, pivots, rank
-from necc_casadi.symbolic.zero import is_zero
 
-__all__ = ["CasimirSearch", "find_closed_forms"]
+__all__ = ["CasimirSearch", "ClosedForm", "find_closed_forms"]
 
 
 _MOST_PROOFS = 40
@@ -40,7 +41,15 @@ _MOST_PROOFS = 40
 _PRIMES_USED = 3
 
 
-Forms = list[tuple[sp.Expr, str]]  # (Casimir, how it was found)
+#: Only the constant sub-kernel, only single functions of the model, or everything.
+Effort = Literal["constant", "quick", "full"]
+
+
+class ClosedForm(NamedTuple):
+    """A Casimir that is proved."""
+
+    function: sp.Expr  # of z
+    origin: str  # how it was found
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,41 +96,37 @@ class CasimirSearch:
     def has_pole(self, c: sp.Expr) -> bool:
         """Whether `c` or its gradient is not finite at the target."""
         for part in (c, *[sp.diff(c, s) for s in c.free_symbols]):
-            known = {s: v for s, v in self.target.items() if s in part.free_symbols}
-            if known and not is_finite(part.subs(known)):
+            if not is_finite(value_at(part, self.target)):
                 return True
         return False
 
 
 def find_closed_forms(
-    search: CasimirSearch, forms: Forms, wanted: int, effort: str = "full"
+    search: CasimirSearch, forms: list[ClosedForm], wanted: int, effort: Effort = "full"
 ) -> None:
-    """Append proved, independent Casimirs to `forms` until there are `wanted`.
-
-    `effort` is ``constant`` (constant sub-kernel only), ``quick`` (single functions of the model)
-    or ``full``.
-    """
+    """Append proved, independent Casimirs to `forms` until there are `wanted`."""
     if len(forms) >= wanted:
         return
     try:
         if effort == "constant":
-            forms.extend((c, "constant kernel") for c in _linear(search))
+            forms.extend(ClosedForm(c, "constant kernel") for c in _linear(search))
             return
-        for words, origin in _vocabularies(search):
-            if len(forms) >= wanted:
-                return
-            if origin == "one-form":
-                _adopt(search, forms, wanted, integrated_kernel(search.loop), "integrated one-form")
-            elif len(words) <= MOST_WORDS:
-                _adopt(search, forms, wanted, _solutions(search, words), origin)
-            if effort == "quick":
+        for candidates, origin in _proposals(search):
+            _adopt(search, forms, wanted, candidates, origin)
+            if len(forms) >= wanted or effort == "quick":
                 return
     except NoFiniteFieldValue:
         return
 
 
+def _proposals(search: CasimirSearch) -> Iterable[tuple[list[sp.Expr], str]]:
+    """Candidates from growing sets of functions, simplest first; not yet proved."""
+    for words, origin in _vocabularies(search):
+        yield _solutions(search, words), origin
+    yield integrated_kernel(search.loop), "integrated one-form"
+
+
 def _vocabularies(search: CasimirSearch) -> Iterable[tuple[list[sp.Expr], str]]:
-    """Growing sets of functions, simplest first."""
     variables, functions = list(search.support), search.functions
     single = unique([*variables, *_with_constants(search, variables), *functions])
     yield single, "functions of the model"
@@ -132,14 +137,19 @@ def _vocabularies(search: CasimirSearch) -> Iterable[tuple[list[sp.Expr], str]]:
         # A yaw angle does not occur in M: where there are angles, every state may be one.
         every = list(dict.fromkeys([*turning, *variables]))
         yield unique([*variables, *trig_products(every)]), "trigonometric ansatz"
-    pairs = unique([*single, *products(single, 2)])
-    yield pairs, "ansatz of degree 2"
-    yield unique([*single, *products(single, 2), *products(single, 3)]), "ansatz of degree 3"
-    wider = unique([*single, *search.energy_functions])
-    yield unique([*wider, *products(wider, 2)]), "ansatz of degree 2"
+    yield _with_products(single, (2,)), "ansatz of degree 2"
+    yield _with_products(single, (2, 3)), "ansatz of degree 3"
+    yield _with_products([*single, *search.energy_functions], (2,)), "ansatz of degree 2"
     powers = [s**k for s in variables for k in range(1, 5)]
-    yield unique([*powers, *[p for d in (2, 3, 4) for p in products(variables, d)]]), "polynomial"
-    yield [], "one-form"
+    mixed = products(variables, (2, 3, 4))
+    yield [] if mixed is None else unique([*powers, *mixed]), "polynomial"
+
+
+def _with_products(words: Sequence[sp.Expr], degrees: Sequence[int]) -> list[sp.Expr]:
+    """The words and their products, none where those are too many."""
+    words = unique(words)
+    more = products(words, degrees)
+    return [] if more is None else unique([*words, *more])
 
 
 def _with_constants(search: CasimirSearch, variables: Sequence[sp.Symbol]) -> list[sp.Expr]:
@@ -164,6 +174,9 @@ def _linear(search: CasimirSearch) -> list[sp.Expr]:
 
 
 def _solutions(search: CasimirSearch, words: Sequence[sp.Expr]) -> list[sp.Expr]:
+    """Candidates among the combinations of words; none where the words are too many."""
+    if len(words) > MOST_WORDS:
+        return []
     vectors = _null_vectors(search, words)
     return [
         _normalised(
@@ -241,10 +254,14 @@ def _system(
 
 
 def _adopt(
-    search: CasimirSearch, forms: Forms, wanted: int, candidates: Sequence[sp.Expr], origin: str
+    search: CasimirSearch,
+    forms: list[ClosedForm],
+    wanted: int,
+    candidates: Sequence[sp.Expr],
+    origin: str,
 ) -> None:
     """Take candidates that are new and proved: finite and regular at the target first."""
-    known = [f for f, _ in forms]
+    known = [form.function for form in forms]
     new: list[sp.Expr] = []
     for c in sorted(candidates, key=lambda c: len(sp.Add.make_args(c))):
         if len(new) < _MOST_PROOFS and independent(known, c, search.loop.z):
@@ -254,11 +271,11 @@ def _adopt(
         for c in ordered:
             if len(forms) >= wanted:
                 return
-            if regular_only and not _regular(search, [*[f for f, _ in forms], c]):
+            known = [form.function for form in forms]
+            if regular_only and not _regular(search, [*known, c]):
                 continue
-            new_one = independent([f for f, _ in forms], c, search.loop.z)
-            if new_one and all(is_zero(rate) is True for rate in rates(c, search.loop)):
-                forms.append((c, origin))
+            if independent(known, c, search.loop.z) and is_casimir(c, search.loop):
+                forms.append(ClosedForm(c, origin))
 
 
 def _regular(search: CasimirSearch, functions: Sequence[sp.Expr]) -> bool:
@@ -269,9 +286,7 @@ def _regular(search: CasimirSearch, functions: Sequence[sp.Expr]) -> bool:
     entries = [
         sp.diff(f, s) if s in f.free_symbols else sp.Integer(0) for f in functions for s in z
     ]
-    entries = [
-        e.subs({s: v for s, v in search.target.items() if s in e.free_symbols}) for e in entries
-    ]
+    entries = [value_at(e, search.target) for e in entries]
     if not all(map(is_finite, entries)):
         return False
     try:

@@ -1,4 +1,9 @@
-"""The Casimir condition ∇Cᵀ(Jcl − Rcl) = 0 (eq. CasimirCondition)."""
+"""The Casimir condition ∇Cᵀ(Jcl − Rcl) = 0 (eq. CasimirCondition).
+
+References
+----------
+van der Schaft (2017), chapter 7.
+"""
 
 from __future__ import annotations
 
@@ -10,8 +15,9 @@ from necc_casadi.model.closed_loop import ClosedLoop
 from necc_casadi.symbolic.finite_field import NoFiniteFieldValue, values
 from necc_casadi.symbolic.linear_algebra import generic_rank
 from necc_casadi.symbolic.modular import rank
+from necc_casadi.symbolic.zero import is_zero
 
-__all__ = ["independent", "rates"]
+__all__ = ["independent", "is_casimir", "rates"]
 
 
 def rates(c: sp.Expr, loop: ClosedLoop) -> list[sp.Expr]:
@@ -23,6 +29,11 @@ def rates(c: sp.Expr, loop: ClosedLoop) -> list[sp.Expr]:
         if i in slopes:
             totals.setdefault(j, []).append(slopes[i] * entry)
     return [sp.Add(*totals.get(j, [])) for j in range(loop.n)]
+
+
+def is_casimir(c: sp.Expr, loop: ClosedLoop) -> bool:
+    """Whether `c` is proved to be a Casimir."""
+    return all(is_zero(rate) is True for rate in rates(c, loop))
 
 
 def independent(known: Sequence[sp.Expr], c: sp.Expr, z: Sequence[sp.Symbol]) -> bool:

@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 import sympy as sp
 from sympy.functions.elementary.trigonometric import TrigonometricFunction
 
-from necc_casadi.casimirs.ansatz import CasimirSearch, find_closed_forms
+from necc_casadi.casimirs.ansatz import CasimirSearch, ClosedForm, find_closed_forms
 from necc_casadi.casimirs.casimirs import Casimirs
 from necc_casadi.casimirs.condition import independent, rates
 from necc_casadi.casimirs.involution import count_casimirs
@@ -89,17 +89,19 @@ def _counted(
     loop: ClosedLoop, search: CasimirSearch, given: Sequence[sp.Expr], kernel_rank: int
 ) -> Casimirs:
     """Constant sub-kernel and supplied ones, then the count, then closed forms up to the count."""
-    forms: list[tuple[sp.Expr, str]] = []
+    forms: list[ClosedForm] = []
     find_closed_forms(search, forms, kernel_rank, "constant")
     for c in given:
-        if independent([f for f, _ in forms], c, loop.z):
-            forms.append((c, "supplied"))
+        if independent([form.function for form in forms], c, loop.z):
+            forms.append(ClosedForm(c, "supplied"))
     find_closed_forms(search, forms, kernel_rank, "quick")
     count, proved = count_casimirs(sp.Matrix(loop.M), loop.z, len(forms))
     if len(forms) < count:
         find_closed_forms(search, forms, count)
-    functions = tuple(f if f in given else _shortened(f) for f, _ in forms)
-    return Casimirs(functions, kernel_rank, count, tuple(o for _, o in forms), proved)
+    functions = tuple(
+        form.function if form.function in given else _shortened(form.function) for form in forms
+    )
+    return Casimirs(functions, kernel_rank, count, tuple(form.origin for form in forms), proved)
 
 
 def _shortened(c: sp.Expr) -> sp.Expr:

@@ -3,6 +3,10 @@
 Iterated Lie brackets are formed symbolically, and only those that raise the rank at random
 points are kept. Rank at one point bounds the generic rank from below, hence the number of
 Casimirs from above; the final rank is proved with Arb balls at a real point.
+
+References
+----------
+Nijmeijer and van der Schaft (1990), Frobenius' theorem.
 """
 
 from __future__ import annotations

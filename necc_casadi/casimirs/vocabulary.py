@@ -20,11 +20,11 @@ def unique(words: Iterable[sp.Expr]) -> list[sp.Expr]:
     return [w for w in dict.fromkeys(words) if w.free_symbols]
 
 
-def products(words: Sequence[sp.Expr], degree: int) -> list[sp.Expr]:
-    """Products of `degree` words; more than MOST_WORDS stand for too many."""
-    if len(words) ** degree > 40 * MOST_WORDS:
-        return [sp.Symbol(f"_too_many{k}") for k in range(MOST_WORDS + 1)]
-    return [sp.Mul(*c) for c in combinations_with_replacement(words, degree)]
+def products(words: Sequence[sp.Expr], degrees: Sequence[int]) -> list[sp.Expr] | None:
+    """Products of as many words as each of `degrees` says; None where there are too many."""
+    if len(words) ** max(degrees) > 40 * MOST_WORDS:
+        return None
+    return [sp.Mul(*c) for d in degrees for c in combinations_with_replacement(words, d)]
 
 
 def times(left: Sequence[sp.Expr], right: Sequence[sp.Expr]) -> list[sp.Expr]:

@@ -10,7 +10,7 @@ from typing import Any
 
 import click
 
-from necc_casadi.cli.options import output_option
+from necc_casadi.cli.options import json_option, last_options
 from necc_casadi.cli.terminal import GroupedCommand, NamedPath, Progress, run
 
 __all__ = ["certify_command"]
@@ -18,9 +18,8 @@ __all__ = ["certify_command"]
 
 @click.command("necc-certify", cls=GroupedCommand)
 @click.argument("out", type=NamedPath())
-@output_option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
-@output_option("--debug", is_flag=True, help="Show tracebacks.")
-@click.version_option(package_name="necc-casadi", prog_name="necc-certify")
+@json_option()
+@last_options("necc-certify")
 def _certify(out: Path, **options: Any) -> int:
     """Prove again, with other arithmetic, what OUT/certificate.json claims about OUT/design.json.
 

@@ -1,26 +1,34 @@
-"""The commands necc-design, necc-certify, necc-simulate: arguments in, text and exit codes out."""
+"""necc-design: from a model and a target to a certified controller."""
 
 from __future__ import annotations
 
-import json
 import sys
+from collections.abc import Mapping
+from dataclasses import fields
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
+from necc_casadi.cases import Activation, CasimirForm, Integrator, PhiForm, Precision, Shape
 from necc_casadi.cli.options import (
     Positive,
+    choice,
     form_option,
+    json_option,
+    last_options,
+    numbers,
     output_option,
-    read_numbers,
     read_range,
-    read_widths,
     region_option,
     solver_option,
     task_option,
+    widths,
 )
 from necc_casadi.cli.terminal import GroupedCommand, NamedPath, Progress, columns, run
+
+if TYPE_CHECKING:
+    from necc_casadi.pipeline.request import Request
 
 __all__ = ["design_command"]
 
@@ -43,24 +51,12 @@ __all__ = ["design_command"]
     is_flag=True,
     help="The published form: plain tanh MLPs 64 and 32, Φ = H + Hc + C, a = 0.5, D = 5, Dc = 6.",
 )
-@form_option(
-    "--hidden-k",
-    metavar="W,W,…",
-    callback=read_widths,
-    help="Widths of K's hidden layers.  [default: 64]",
-)
-@form_option(
-    "--hidden-h",
-    metavar="W,W,…",
-    callback=read_widths,
-    help="Widths of Hc's hidden layers.  [default: 32]",
-)
-@form_option(
-    "--activation", type=click.Choice(["tanh", "sin", "squareplus"]), help="[default: tanh]"
-)
+@widths("--hidden-k", "Widths of K's hidden layers.  [default: 64]")
+@widths("--hidden-h", "Widths of Hc's hidden layers.  [default: 32]")
+@form_option("--activation", type=choice(Activation), help="[default: tanh]")
 @form_option(
     "--casimir-form",
-    type=click.Choice(["sum", "joint"]),
+    type=choice(CasimirForm),
     help="C = K(Σ βᵢ(cᵢ)) or K(c₁, …, c_r).  [default: joint; sum with --paper]",
 )
 @form_option(
@@ -77,7 +73,7 @@ __all__ = ["design_command"]
 )
 @form_option(
     "--phi",
-    type=click.Choice(["sum", "neural"]),
+    type=choice(PhiForm),
     help="Φ = H + Hc + C, or a network with Φ₁ > 0 by construction.  [default: sum]",
 )
 @form_option(
@@ -87,7 +83,7 @@ __all__ = ["design_command"]
 )
 @region_option(
     "--shape",
-    type=click.Choice(["none", "regulariser", "level"]),
+    type=choice(Shape),
     default="none",
     show_default=True,
     help="What to ask of V over samples of the domain, beside the conditions at z*. level: the "
@@ -118,22 +114,10 @@ __all__ = ["design_command"]
     show_default=True,
     help="Random starts; the best is kept.",
 )
-@solver_option(
-    "--damping",
-    metavar="NUMBERS",
-    callback=read_numbers,
-    help="D: one number, or one per input.  [default: chosen]",
-)
-@solver_option(
-    "--controller-damping",
-    metavar="NUMBERS",
-    callback=read_numbers,
-    help="Dc, likewise.  [default: chosen]",
-)
+@numbers(solver_option, "--damping", "D: one number, or one per input.  [default: chosen]")
+@numbers(solver_option, "--controller-damping", "Dc, likewise.  [default: chosen]")
 @output_option("--out", type=NamedPath(), help="Folder to write.  [default: <model>-design]")
-@output_option(
-    "--json", "as_json", is_flag=True, help="One JSON object on stdout, nothing else there."
-)
+@json_option("One JSON object on stdout, nothing else there.")
 @output_option("--no-plots", is_flag=True, help="Draw no figures.")
 @output_option(
     "--sweep-a",
@@ -143,27 +127,22 @@ __all__ = ["design_command"]
 )
 @output_option(
     "--real",
-    type=click.Choice(["double", "float"]),
+    type=choice(Precision),
     default="double",
     show_default=True,
     help="Number type of the C controller.",
 )
 @output_option(
     "--integrator",
-    type=click.Choice(["heun", "euler", "rk4"]),
+    type=choice(Integrator),
     default="heun",
     show_default=True,
     help="How the C controller advances its state over a sample.",
 )
 @output_option("--fmu", is_flag=True, help="Also an FMI 2.0 co-simulation unit.")
 @output_option("--mex", is_flag=True, help="Also a MEX source for MATLAB.")
-@output_option(
-    "--sample-time",
-    type=Positive(),
-    help="Sample time of the C controller, s.",
-)
-@output_option("--debug", is_flag=True, help="Show IPOPT's iterations and tracebacks.")
-@click.version_option(package_name="necc-casadi", prog_name="necc-design")
+@output_option("--sample-time", type=Positive(), help="Sample time of the C controller, s.")
+@last_options("necc-design", "Show IPOPT's iterations and tracebacks.")
 def _design(model: Path, **options: Any) -> int:
     """Design a certified energy-Casimir controller for the plant in MODEL.
 
@@ -189,53 +168,31 @@ def _design(model: Path, **options: Any) -> int:
     """
     progress = Progress()
     with progress.shown():
-        from necc_casadi.pipeline.request import Request
+        from necc_casadi.files import to_json_text
         from necc_casadi.pipeline.run import run_design
         from necc_casadi.report.to_json import to_json
         from necc_casadi.report.to_text import summary
 
-        form = (
-            "hidden_k",
-            "hidden_h",
-            "activation",
-            "casimir_form",
-            "phi",
-            "a",
-            "convex",
-            "learn_casimir",
-            "shape",
-            "gamma",
-        )
-        chosen = {key: options[key] for key in form if options[key] is not None}
-        chosen |= {key: options[key] for key in ("seed", "starts")} | {"verbose": options["debug"]}
-        passed = (
-            "target",
-            "param",
-            "check",
-            "paper",
-            "damping",
-            "controller_damping",
-            "sweep_a",
-            "real",
-            "sample_time",
-            "structure",
-            "integrator",
-            "fmu",
-            "mex",
-        )
-        request = Request(
-            model=model,
-            out=options["out"] or Path(f"{model.stem}-design"),
-            chosen=chosen,
-            plots=not options["no_plots"],
-            **{key: options[key] for key in passed},
-        )
-        found = run_design(request, progress.say)
-    if options["as_json"]:
-        click.echo(json.dumps(to_json(found), ensure_ascii=False, allow_nan=False))
-    else:
-        click.echo(summary(found, columns()))
+        found = run_design(_request(model, options), progress.say)
+    click.echo(to_json_text(to_json(found)) if options["as_json"] else summary(found, columns()))
     return found.exit_code
+
+
+def _request(model: Path, options: Mapping[str, Any]) -> Request:
+    """What the options say: each has the name of the field that it sets."""
+    from necc_casadi.pipeline.request import Choices, Request
+
+    said = {
+        **options,
+        "out": options["out"] or Path(f"{model.stem}-design"),
+        "plots": not options["no_plots"],
+        "verbose": options["debug"],
+    }
+
+    def chosen(kind: type[Choices] | type[Request]) -> dict[str, Any]:
+        return {field.name: said[field.name] for field in fields(kind) if field.name in said}
+
+    return Request(model=model, chosen=Choices(**chosen(Choices)), **chosen(Request))
 
 
 def design_command() -> None:

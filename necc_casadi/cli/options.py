@@ -1,9 +1,10 @@
-"""Options of the commands: their groups and the types of their values."""
+"""Options of the commands: their groups, the types of their values, and those that they share."""
 
 from __future__ import annotations
 
 import math
-from typing import Any
+from collections.abc import Callable
+from typing import Any, get_args
 
 import click
 
@@ -12,21 +13,27 @@ from necc_casadi.errors import OptionError
 
 __all__ = [
     "Positive",
+    "choice",
     "form_option",
+    "json_option",
+    "last_options",
+    "numbers",
     "output_option",
-    "read_numbers",
     "read_range",
-    "read_widths",
     "region_option",
     "solver_option",
     "task_option",
+    "widths",
 ]
+
+
+Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
 
 
 _WIDEST, _DEEPEST, _MOST_SWEPT = 1024, 8, 1000
 
 
-def read_widths(_ctx: click.Context, _option: click.Parameter, text: str | None) -> Any:
+def _read_widths(_ctx: click.Context, _option: click.Parameter, text: str | None) -> Any:
     """Widths of hidden layers, ``64,64`` -> (64, 64)."""
     if text is None:
         return None
@@ -39,7 +46,7 @@ def read_widths(_ctx: click.Context, _option: click.Parameter, text: str | None)
     return widths
 
 
-def read_numbers(_ctx: click.Context, option: click.Parameter, text: str | None) -> Any:
+def _read_numbers(_ctx: click.Context, option: click.Parameter, text: str | None) -> Any:
     """Comma-separated constants, read like --target."""
     if text is None:
         return None
@@ -90,3 +97,30 @@ solver_option = grouped("Solver and damping")
 
 
 output_option = grouped("Output")
+
+
+def choice(kind: Any) -> click.Choice[str]:
+    """One of the words of a Literal type."""
+    return click.Choice(get_args(kind))
+
+
+def widths(name: str, text: str) -> Decorator:
+    """An option for the widths of hidden layers."""
+    return form_option(name, metavar="W,W,…", callback=_read_widths, help=text)
+
+
+def numbers(option: Callable[..., Decorator], name: str, text: str) -> Decorator:
+    """An option for numbers, under a heading of --help."""
+    return option(name, metavar="NUMBERS", callback=_read_numbers, help=text)
+
+
+def json_option(text: str = "One JSON object on stdout.") -> Decorator:
+    """``--json``."""
+    return output_option("--json", "as_json", is_flag=True, help=text)
+
+
+def last_options(name: str, debug: str = "Show tracebacks.") -> Decorator:
+    """``--debug`` and ``--version``, with which every command ends."""
+    version = click.version_option(package_name="necc-casadi", prog_name=name)
+    debugging: Decorator = output_option("--debug", is_flag=True, help=debug)
+    return lambda command: debugging(version(command))

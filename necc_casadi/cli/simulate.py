@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 import json
-import math
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from necc_casadi.cli.options import Positive, output_option, read_numbers, task_option
+from necc_casadi.cli.options import (
+    Positive,
+    json_option,
+    last_options,
+    numbers,
+    output_option,
+    task_option,
+)
 from necc_casadi.cli.terminal import GroupedCommand, NamedPath, run
 from necc_casadi.errors import OptionError
 
@@ -23,19 +29,13 @@ __all__ = ["simulate_command"]
 
 @click.command("necc-simulate", cls=GroupedCommand)
 @click.argument("out", type=NamedPath())
-@task_option(
+@numbers(
+    task_option,
     "--x0",
-    metavar="NUMBERS",
-    callback=read_numbers,
-    help="Plant state to start from, all states in order.  [default: "
+    "Plant state to start from, all states in order.  [default: "
     "the middle between target and domain edge]",
 )
-@task_option(
-    "--xi0",
-    metavar="NUMBERS",
-    callback=read_numbers,
-    help="Controller state to start from.  [default: ξ*]",
-)
+@numbers(task_option, "--xi0", "Controller state to start from.  [default: ξ*]")
 @task_option("--time", "horizon", type=Positive(), help="Horizon, s.")
 @output_option(
     "--points",
@@ -50,9 +50,8 @@ __all__ = ["simulate_command"]
     help="Write the response to a CSV file (- for stdout).",
 )
 @output_option("--plot", type=NamedPath(dir_okay=False), help="Draw it to a PNG file.")
-@output_option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
-@output_option("--debug", is_flag=True, help="Show tracebacks.")
-@click.version_option(package_name="necc-casadi", prog_name="necc-simulate")
+@json_option()
+@last_options("necc-simulate")
 def _simulate(out: Path, **options: Any) -> int:
     """Simulate the design in the folder OUT that necc-design wrote.
 
@@ -66,7 +65,7 @@ def _simulate(out: Path, **options: Any) -> int:
             "usage", "--csv - and --json both want stdout", "Name a file: --csv response.csv."
         )
     from necc_casadi.designs.design import Design
-    from necc_casadi.files import write_text
+    from necc_casadi.files import finite, write_text
     from necc_casadi.simulation.responses import simulate
 
     made = Design.load(out)
@@ -92,23 +91,19 @@ def _simulate(out: Path, **options: Any) -> int:
     if str(options["csv"]) == "-":
         click.echo(text, nl=False)
     elif options["as_json"]:
-        click.echo(json.dumps(_response_json(made, response)))
+        click.echo(json.dumps(finite(_response_json(made, response))))
     else:
         click.echo(_response_text(made, response))
     return 0 if response.complete else 4
-
-
-def _finite(value: float) -> float | None:
-    return value if math.isfinite(value) else None
 
 
 def _response_json(made: Design, response: Trajectory) -> dict[str, Any]:
     return {
         "states": list(made.loop.states),
         "t_end": float(response.t[-1]),
-        "z_end": [_finite(float(v)) for v in response.z[-1]],
-        "settling_time": _finite(response.settling_time),
-        "peak_input": _finite(response.peak_input),
+        "z_end": response.z[-1].tolist(),
+        "settling_time": response.settling_time,
+        "peak_input": response.peak_input,
         "complete": response.complete,
     }
 

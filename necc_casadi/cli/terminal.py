@@ -69,12 +69,22 @@ class GroupedCommand(click.Command):
                 formatter.write_dl(records)
 
 
+@contextlib.contextmanager
+def _same_stdout() -> Iterator[None]:
+    """Afterwards stdout is what it was: an interrupt may come while a redirection of it ends."""
+    stdout = sys.stdout
+    try:
+        yield
+    finally:
+        sys.stdout = stdout
+
+
 def run(command: click.Command, arguments: Sequence[str] | None = None) -> int:
     """Run a command and return its exit code; every fault becomes one clear message."""
     given = list(sys.argv[1:] if arguments is None else arguments)
     as_json, debug = "--json" in given, "--debug" in given
     try:
-        with interruptible():
+        with _same_stdout(), interruptible():
             code = command.main(given, standalone_mode=False)
             sys.stdout.flush()
         return int(code or 0)

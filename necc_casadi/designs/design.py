@@ -14,16 +14,18 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
-import sympy as sp
 
 from necc_casadi.arrays import Vector
 from necc_casadi.casimirs.momenta import find_momenta
 from necc_casadi.designs.layout import BROKEN, DESIGN_FORMAT, check_whole, from_dict, to_dict
+from necc_casadi.designs.natural import natural_parts
 from necc_casadi.designs.parts import Parts
 from necc_casadi.errors import OutputError
 from necc_casadi.files import write_text
 from necc_casadi.lyapunov.lyapunov import LyapunovFunction, make_terms
 from necc_casadi.model.domain import Domain, domain_of
+from necc_casadi.model.sizes import input_names
+from necc_casadi.symbolic.floats import to_floats
 
 __all__ = ["Design"]
 
@@ -54,44 +56,66 @@ class Design(Parts):
     @cached_property
     def domain(self) -> Domain:
         """The box of states (n + nc,) in which the design is looked at."""
-        return domain_of(self.loop, self.z_star)
+        return domain_of(self.loop, self.z_star, self.sizes.state)
+
+    @property
+    def named_sizes(self) -> dict[str, float]:
+        """Natural size of each state and input, by name."""
+        names = (*self.loop.states, *input_names(self.loop.plant.m))
+        values = np.concatenate([self.sizes.state, self.sizes.input])
+        return dict(zip(names, values.tolist(), strict=True))
+
+    @cached_property
+    def natural(self) -> Design:
+        """The same design in natural units, in which numbers are of order one."""
+        return self if self.units.are_ones else Design(**vars(natural_parts(self)))
 
     @cached_property
     def momenta(self) -> tuple[int, ...]:
         """Indices of the plant states that are momenta; see :func:`find_momenta`."""
+        if self.natural is not self:
+            return self.natural.momenta
         return find_momenta(self.loop, self.casimirs, self.x_star)
 
     @cached_property
     def lyapunov(self) -> LyapunovFunction:
-        """V, its derivatives and the control law as CasADi functions."""
+        """V, its derivatives, its control law and its closed loop."""
         terms = make_terms(self.loop, self.casimirs)
         return LyapunovFunction(terms, self.form, self.weights, self.D, self.Dc)
 
     @cached_property
     def z_star(self) -> Vector:
         """(x*, ξ*) in double precision, (n + nc,)."""
-        return np.concatenate([[float(sp.N(v, 20)) for v in self.x_star], self.xi_star])
+        return np.concatenate([to_floats(self.x_star), self.xi_star])
 
     def control(self, x: npt.ArrayLike, xi: npt.ArrayLike) -> tuple[Vector, Vector]:
         """The controller: plant state (n,), controller state (nc,) -> u (m,), ξ̇ (nc,)."""
-        u, xi_dot = self.lyapunov.control_law.call([np.asarray(x, float), np.asarray(xi, float)])
-        return np.asarray(u, float).ravel(), np.asarray(xi_dot, float).ravel()
+        return self.lyapunov.control_law(x, xi)
 
     def V(self, z: npt.ArrayLike) -> float:
         """The Lyapunov function at z = (x, ξ), (n + nc,)."""
-        return float(self.lyapunov.V(np.asarray(z, float)))
+        return float(self.lyapunov.V(z))
 
     @cached_property
     def z_bar(self) -> Vector:
         """The minimum of V near z*, by Newton's method on ∇V, (n + nc,)."""
+        if self.natural is not self:
+            return self.natural.z_bar * self.units.state
         z = self.z_star
         for _ in range(20):
-            g = np.asarray(self.lyapunov.gradient(z), float).ravel()
-            step = np.linalg.lstsq(np.asarray(self.lyapunov.hessian(z), float), g, rcond=None)[0]
+            g, hessian = self.lyapunov.gradient(z), self.lyapunov.hessian(z)
+            step = np.linalg.lstsq(hessian, g, rcond=None)[0]
             z = z - step
             if np.linalg.norm(step) <= 4 * np.finfo(float).eps * max(1.0, float(np.linalg.norm(z))):
                 break
         return z
+
+    @cached_property
+    def spectrum(self) -> npt.NDArray[np.complex128]:
+        """Eigenvalues of the linearisation at z̄, (n + nc,), 1/s."""
+        natural = self.natural
+        values = np.linalg.eigvals(natural.lyapunov.linearisation(natural.z_bar))
+        return np.asarray(values / self.units.time, complex)
 
     def linearise(self) -> tuple[Vector, Vector, Vector, Vector]:
         """State-space matrices (A, B, C, D) of the damped loop at z̄, ready for python-control.

@@ -22,7 +22,9 @@ from necc_casadi.model.closed_loop import ClosedLoop
 from necc_casadi.model.controller import Controller
 from necc_casadi.model.entries import Property
 from necc_casadi.model.plant import Plant
+from necc_casadi.model.sizes import Sizes
 from necc_casadi.symbolic.expressions import parse, to_text
+from necc_casadi.symbolic.floats import to_floats
 from necc_casadi.symbolic.identifiers import identifiers
 from necc_casadi.verdict.verdict import Verdict
 
@@ -83,7 +85,8 @@ def to_dict(design: Parts) -> dict[str, Any]:
         "units": dict(plant.units),
         "domain": {name: text(bounds) for name, bounds in plant.domain.items()},
         "u_limits": plant.u_limits,
-        "properties": [asdict(p) for p in design.loop.properties],
+        "sizes": {name: text(size) for name, size in plant.sizes.items()},
+        "properties": [{"name": p.name, "proved": p.proved} for p in design.loop.properties],
         "plant_properties": len(plant.properties),
     }
     verdict = design.verdict
@@ -115,11 +118,18 @@ def to_dict(design: Parts) -> dict[str, Any]:
         "xi_star": _hex(design.xi_star),
         "D": _hex(design.D),
         "Dc": _hex(design.Dc),
+        "sizes": {**_sizes_text(design.sizes), "guessed": list(design.sizes.guessed)},
+        "units": _sizes_text(design.units),
+        "curvature": _hex(design.curvature),
         "seed": design.seed,
         "starts": [asdict(start) for start in design.starts],
         "learned": None if design.learned is None else asdict(design.learned),
         "weights": _hex(design.weights),
     }
+
+
+def _sizes_text(sizes: Sizes) -> dict[str, Any]:
+    return {name: _hex(np.asarray(getattr(sizes, name))) for name in _SIZES}
 
 
 def _model_hash(model: Mapping[str, Any]) -> str:
@@ -138,11 +148,22 @@ def check_whole(design: Parts, data: Mapping[str, Any]) -> None:
         "xi_star": (design.xi_star, (nc,)),
         "D": (design.D, (m, m)),
         "Dc": (design.Dc, (m, m)),
-        "target": (np.array([float(sp.N(v, 20)) for v in design.x_star]), (n,)),
+        "target": (to_floats(design.x_star), (n,)),
+        "curvature": (design.curvature, (n + nc,)),
     }
+    for label, group in (("sizes", design.sizes), ("units", design.units)):
+        wanted = ((n + nc,), (m,), (), (), (r,))
+        for name, shape in zip(_SIZES, wanted, strict=True):
+            shapes[f"{label}: {name}"] = (np.asarray(getattr(group, name)), shape)
     for name, (values, shape) in shapes.items():
         if np.shape(values) != shape or not np.all(np.isfinite(values)):
             raise ValueError(f"{name} must hold finite numbers of shape {shape}")
+    for name in _SIZES:
+        unit = np.asarray(getattr(design.units, name))
+        if np.any(np.asarray(getattr(design.sizes, name)) <= 0) or np.any(unit <= 0):
+            raise ValueError(f"sizes and units must be positive: {name}")
+        if np.any(np.frexp(unit)[0] != 0.5):
+            raise ValueError(f"units must be powers of two: {name}")
     if min(np.linalg.eigvalsh(damping)[0] for damping in (design.D, design.Dc)) <= 0:
         raise ValueError("D and Dc must be positive definite")
     inputs = [form.hc.inputs, form.k.inputs, *[beta.inputs for beta in form.betas]]
@@ -154,6 +175,9 @@ def check_whole(design: Parts, data: Mapping[str, Any]) -> None:
 
 
 _VERDICT_PLAIN = ("assignable", "reason", "explanation", "a_max", "stability", "witness")
+
+
+_SIZES = ("state", "input", "energy", "time", "casimir")
 
 
 _VERDICT_TEXT = ("lam", "xi_star", "invisible", "curvature")
@@ -184,7 +208,7 @@ def from_dict(data: Mapping[str, Any]) -> Parts:
 
     z = tuple(symbols.values())
     n = len(model["states"])
-    properties = tuple(Property(**p) for p in model["properties"])
+    properties = tuple(Property.named(**p) for p in model["properties"])
     split = model["plant_properties"]
     plant = Plant(
         name=model["name"],
@@ -198,6 +222,7 @@ def from_dict(data: Mapping[str, Any]) -> Parts:
         u_limits=None
         if model["u_limits"] is None
         else tuple((float(lo), float(hi)) for lo, hi in model["u_limits"]),
+        sizes={name: read(size) for name, size in model.get("sizes", {}).items()},
         properties=properties[:split],
     )
     controller = Controller(
@@ -232,11 +257,34 @@ def from_dict(data: Mapping[str, Any]) -> Parts:
         Dc=_unhex(data["Dc"]),
         a=float.fromhex(data["a"]),
         a_requested=float.fromhex(data["a_requested"]),
+        **_scaling(data),
         seed=data["seed"],
         starts=tuple(Start(**start) for start in data["starts"]),
         learned=None if data["learned"] is None else Residual(**data["learned"]),
         versions=data["versions"],
     )
+
+
+def _scaling(data: Mapping[str, Any]) -> dict[str, Any]:
+    """Sizes, units and curvature; a file without them was designed in the units of its model."""
+    if "sizes" not in data:
+        return {}
+
+    def read(values: Mapping[str, Any]) -> Sizes:
+        return Sizes(
+            state=_unhex(values["state"]),
+            input=_unhex(values["input"]),
+            energy=float(_unhex(values["energy"])),
+            time=float(_unhex(values["time"])),
+            casimir=_unhex(values["casimir"]),
+            guessed=tuple(map(str, values.get("guessed", ()))),
+        )
+
+    return {
+        "sizes": read(data["sizes"]),
+        "units": read(data["units"]),
+        "curvature": _unhex(data["curvature"]),
+    }
 
 
 def _form(data: Mapping[str, Any]) -> Form:

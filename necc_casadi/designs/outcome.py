@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from necc_casadi.cases import Mode
+
 __all__ = ["STATUS", "Residual", "Start", "Status"]
 
 
@@ -62,7 +64,7 @@ class Start:
     """Outcome of one start of the solver."""
 
     seed: int
-    mode: str  # "hard": g = 0, t = 0 imposed; "shaped": hard, over samples; "soft": min s + t
+    mode: Mode
     status: str  # IPOPT's return status
     iterations: int
     seconds: float  # inside IPOPT

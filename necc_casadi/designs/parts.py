@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from importlib import metadata
 
+import numpy as np
 import sympy as sp
 
 from necc_casadi.arrays import Vector
@@ -13,6 +14,7 @@ from necc_casadi.casimirs.casimirs import Casimirs
 from necc_casadi.designs.outcome import Residual, Start
 from necc_casadi.lyapunov.parameterization import Form
 from necc_casadi.model.closed_loop import ClosedLoop
+from necc_casadi.model.sizes import Sizes
 from necc_casadi.verdict.verdict import Verdict
 
 __all__ = ["Parts"]
@@ -22,6 +24,10 @@ def _package_versions() -> dict[str, str]:
     """Versions of this package and of those whose arithmetic a design rests on."""
     names = ("necc-casadi", "casadi", "numpy", "sympy", "python-flint")
     return {name: metadata.version(name) for name in names}
+
+
+#: Stands for sizes that are all 1.
+_OF_THE_MODEL = Sizes.ones(0, 0, 0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,3 +49,17 @@ class Parts:
     starts: tuple[Start, ...] = ()
     learned: Residual | None = None  # of a learned Casimir; None: Casimirs in closed form
     versions: Mapping[str, str] = field(default_factory=_package_versions)
+    sizes: Sizes = _OF_THE_MODEL  # natural sizes at the target; by default the model's units
+    units: Sizes = _OF_THE_MODEL  # powers of two near them: natural units
+    #: (n + nc,) diagonal asked of ∇²V̂(z*), natural units; by default that of `a`
+    curvature: Vector = field(default_factory=lambda: np.zeros(0))
+
+    def __post_init__(self) -> None:
+        """Without sizes a design is looked at in the units of its model."""
+        N, m, r = self.loop.n, self.loop.plant.m, len(self.casimirs.functions)
+        for name, default in (("sizes", Sizes.ones(N, m, r)), ("units", Sizes.ones(N, m, r))):
+            if getattr(self, name) is _OF_THE_MODEL:
+                object.__setattr__(self, name, default)
+        if not self.curvature.size:
+            in_units = self.units.state**2 / self.units.energy
+            object.__setattr__(self, "curvature", self.a * in_units)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+from necc_casadi.cases import Integrator, Precision
 from necc_casadi.designs.design import Design
 from necc_casadi.export.controller import controller
 from necc_casadi.export.demonstration import demonstration
@@ -22,9 +23,9 @@ def export_c(
     design: Design,
     folder: Path,
     *,
-    real: str = "double",
+    real: Precision = "double",
     sample_time: float | None = None,
-    integrator: str = "heun",
+    integrator: Integrator = "heun",
     certificate_hash: str | None = None,
     claims: Sequence[str] = (),
     measured: bool = True,

@@ -16,6 +16,7 @@ import casadi as ca
 import numpy as np
 
 from necc_casadi.arrays import Vector
+from necc_casadi.cases import Precision
 
 __all__ = ["Real", "c_function"]
 
@@ -24,7 +25,7 @@ __all__ = ["Real", "c_function"]
 class Real:
     """How numbers of the exported type are written."""
 
-    name: str  # "double" or "float"
+    name: Precision
 
     @property
     def suffix(self) -> str:

@@ -134,9 +134,12 @@ def _saturation(source: Source) -> str:
 
 
 def _init_at(source: Source) -> str:
-    real = source.number
+    real, sizes = source.number, source.design.sizes
     return fill(
         "init_at.c",
+        xi_size=real.literals(sizes.state[source.n :]),
+        V_size=real.literal(sizes.energy),
+        stiffness=real.literals(sizes.stiffness[source.n :]),
         law_arguments=_members(source),
         cbrt_eps=real.literal(float(f"{real.eps ** (1 / 3):.1g}")),
         tiny=real.literal(float(f"{4 * real.eps:.1g}")),

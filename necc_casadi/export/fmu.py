@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
+from necc_casadi.cases import Integrator, Precision
 from necc_casadi.designs.design import Design
 from necc_casadi.export.compiled import compile_shared, find_compiler
 from necc_casadi.export.controller import controller
@@ -34,9 +35,9 @@ def export_fmu(
     design: Design,
     path: Path,
     *,
-    real: str = "double",
+    real: Precision = "double",
     sample_time: float | None = None,
-    integrator: str = "heun",
+    integrator: Integrator = "heun",
     certificate_hash: str | None = None,
     claims: Sequence[str] = (),
 ) -> Path:

@@ -26,7 +26,7 @@ def export_mex(design: Design, path: Path) -> Path:
     OutputError
         When the file cannot be written.
     """
-    law = design.lyapunov.control_law
+    law = design.lyapunov.control_law_function
     x, xi = law.mx_in()
     named = ca.Function("necc_control", [x, xi], law.call([x, xi]), ["x", "xi"], ["u", "xidot"])
     generator = ca.CodeGenerator("necc_control.c", {"mex": True})

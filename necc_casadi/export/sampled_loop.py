@@ -18,13 +18,14 @@ import casadi as ca
 import numpy as np
 
 from necc_casadi.arrays import Vector
+from necc_casadi.cases import Integrator
 from necc_casadi.designs.design import Design
 
 __all__ = ["ORDERS", "SampledLoop", "analyse_sampling", "largest_stable_time", "spectral_radius"]
 
 
 #: Methods that advance ξ over one sample, x held: name -> order.
-ORDERS = {"euler": 1, "heun": 2, "rk4": 4}
+ORDERS: dict[Integrator, int] = {"euler": 1, "heun": 2, "rk4": 4}
 
 
 @dataclass(frozen=True)
@@ -37,7 +38,9 @@ class SampledLoop:
     warning: str | None
 
 
-def analyse_sampling(design: Design, sample_time: float, integrator: str = "heun") -> SampledLoop:
+def analyse_sampling(
+    design: Design, sample_time: float, integrator: Integrator = "heun"
+) -> SampledLoop:
     """Spectral radius at `sample_time` (s), the largest stable one, a warning past half of it."""
     radius = spectral_radius(design, sample_time, integrator)
     largest = largest_stable_time(design, integrator)
@@ -52,12 +55,12 @@ def analyse_sampling(design: Design, sample_time: float, integrator: str = "heun
     return SampledLoop(sample_time, radius, largest, warning)
 
 
-def spectral_radius(design: Design, sample_time: float, integrator: str = "heun") -> float:
+def spectral_radius(design: Design, sample_time: float, integrator: Integrator = "heun") -> float:
     """Spectral radius of the sampled loop at z̄; `sample_time` in s."""
-    return _radius(_linear_parts(design), sample_time, ORDERS[integrator])
+    return _radius(_linear_parts(design), sample_time / design.units.time, ORDERS[integrator])
 
 
-def largest_stable_time(design: Design, integrator: str = "heun") -> float | None:
+def largest_stable_time(design: Design, integrator: Integrator = "heun") -> float | None:
     """The sample time (s) up to which the sampled loop is stable at z̄, to three digits.
 
     Found by a scan in steps of 5 % from a thousandth of the fastest time constant upwards, then
@@ -65,7 +68,7 @@ def largest_stable_time(design: Design, integrator: str = "heun") -> float | Non
     time constants is.
     """
     parts, order = _linear_parts(design), ORDERS[integrator]
-    rates = np.abs(np.linalg.eigvals(design.linearise()[0]))
+    rates = np.abs(design.natural.spectrum)
     time, end = 1e-3 / rates.max(), 1e3 / max(rates.min(), 1e-3 * rates.max())
     if not _radius(parts, time, order) < 1:
         return None
@@ -77,12 +80,13 @@ def largest_stable_time(design: Design, integrator: str = "heun") -> float | Non
     while high - low > 1e-4 * low:
         middle = (low + high) / 2
         low, high = (middle, high) if _radius(parts, middle, order) < 1 else (low, middle)
-    return float(low)
+    return float(low * design.units.time)
 
 
 def _linear_parts(design: Design) -> tuple[Vector, ...]:
-    """A (n × n), G (n × m), u_x, u_ξ, f_x, f_ξ at z̄ and its holding input."""
-    terms, law = design.lyapunov.terms, design.lyapunov.control_law
+    """A (n × n), G (n × m), u_x, u_ξ, f_x, f_ξ at z̄ and its holding input, natural units."""
+    design = design.natural
+    terms, law = design.lyapunov.terms, design.lyapunov.control_law_function
     x, xi, u = (ca.MX.sym(s, k) for s, k in (("x", terms.n), ("xi", terms.nc), ("u", terms.m)))
     law_u, law_f = law.call([x, xi])
     plant = terms.F(x) @ terms.grad_H(x) + terms.G(x) @ u

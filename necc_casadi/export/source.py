@@ -4,15 +4,21 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import get_args
 
 import numpy as np
 
+from necc_casadi.cases import Integrator, Precision
 from necc_casadi.designs.design import Design
 from necc_casadi.errors import OptionError
 from necc_casadi.export.casadi2c import Real
 from necc_casadi.export.sampled_loop import ORDERS, largest_stable_time
 
 __all__ = ["Source"]
+
+
+#: Samples in one natural time, and how far below the largest stable sample time, by default.
+_PER_NATURAL_TIME, _BELOW_LARGEST = 100, 10
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,15 +32,17 @@ class Source:
     """
 
     design: Design
-    real: str = "double"
+    real: Precision = "double"
     sample_time: float | None = None  # s
-    integrator: str = "heun"
+    integrator: Integrator = "heun"
     certificate_hash: str | None = None
     claims: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        if self.real not in ("double", "float"):
-            raise OptionError("usage", f"real = {self.real!r}", "Use double or float.")
+        if self.real not in get_args(Precision):
+            raise OptionError(
+                "usage", f"real = {self.real!r}", f"Use {' or '.join(get_args(Precision))}."
+            )
         if self.integrator not in ORDERS:
             raise OptionError(
                 "usage", f"integrator = {self.integrator!r}", f"Use {', '.join(ORDERS)}."
@@ -76,8 +84,10 @@ class Source:
 
     @cached_property
     def step_time(self) -> float:
-        """The sample time, or else one far from the stability limit, s."""
+        """The sample time, or else one far from the stability limit and the natural time, s."""
         if self.sample_time is not None:
             return self.sample_time
         largest = largest_stable_time(self.design, self.integrator)
-        return float(f"{min(0.01, (largest or 0.1) / 10):.1g}")
+        times = [self.design.sizes.time / _PER_NATURAL_TIME]
+        times += [] if largest is None else [largest / _BELOW_LARGEST]
+        return float(f"{min(times):.1g}")

@@ -8,6 +8,7 @@ import casadi as ca
 import numpy as np
 
 from necc_casadi.arrays import Vector
+from necc_casadi.cases import Integrator
 from necc_casadi.designs.design import Design
 from necc_casadi.export.casadi2c import Real
 from necc_casadi.export.source import Source
@@ -16,7 +17,7 @@ from necc_casadi.export.templating import fill
 __all__ = ["TOLERANCE", "reference_step", "vector_table"]
 
 
-#: Error that a vector allows, relative to max(1, |expected|).
+#: Error that a vector allows, relative to the natural size of an output and what cancels in it.
 TOLERANCE = {"double": 1e-12, "float": 1e-4}
 
 
@@ -26,9 +27,9 @@ _COUNT = 16
 _SATURATED = 1
 
 
-def reference_step(design: Design, integrator: str) -> ca.Function:
+def reference_step(design: Design, integrator: Integrator) -> ca.Function:
     """(x, ξ, dt) -> (u, ξ after dt): one sample with x held, before saturation."""
-    terms, law = design.lyapunov.terms, design.lyapunov.control_law
+    terms, law = design.lyapunov.terms, design.lyapunov.control_law_function
     x, xi, dt = ca.MX.sym("x", terms.n), ca.MX.sym("xi", terms.nc), ca.MX.sym("dt")
     u, k1 = law.call([x, xi])
     if integrator == "euler":
@@ -42,12 +43,41 @@ def reference_step(design: Design, integrator: str) -> ca.Function:
     return ca.Function("necc_step", [x, xi, dt], [u, after])
 
 
+def rounding_scales(design: Design) -> ca.Function:
+    """(x, ξ, dt) -> what rounding in u, ξ̇ and ξ after dt is relative to, each one of its size.
+
+    The natural size, which the networks' own terms have, and the magnitudes of the terms that
+    Lemma 1 adds up: u may be the small difference of large ones.
+    """
+    V, terms, sizes = design.lyapunov, design.lyapunov.terms, design.sizes
+    w, form = ca.DM(design.weights), design.form
+    x, xi, dt = ca.MX.sym("x", terms.n), ca.MX.sym("xi", terms.nc), ca.MX.sym("dt")
+    z, c, e = ca.vertcat(x, xi), ca.MX.sym("c", terms.r), ca.MX.sym("e")
+    C = form.casimir(w)(c)
+    k = ca.MX.sym("k")
+    outer = ca.Function("outer", [e, k], [ca.gradient(form.outer(w)(e, k), k)])
+    gamma = ca.Function("gamma", [e, c], [outer(e, C) * ca.gradient(C, c)])
+    grad_Hc = ca.gradient(form.controller_energy(w)(xi), xi)
+    energy = terms.H(x) + form.controller_energy(w)(xi)
+    pull = ca.fabs(gamma(energy, terms.c(z)))
+    slopes = ca.fabs(ca.jacobian(terms.c(z), z)).T @ pull
+    phi_1 = V.phi_slope_function(z)
+    G, Gc = ca.fabs(terms.G(x)), ca.fabs(terms.Gc(xi))
+    grad_H, grad_Hc = ca.fabs(terms.grad_H(x)), ca.fabs(grad_Hc)
+    V_x, V_xi = phi_1 * grad_H + slopes[: terms.n], phi_1 * grad_Hc + slopes[terms.n :]
+    u = Gc.T @ grad_Hc + ca.DM(abs(design.D)) @ (G.T @ V_x) + ca.DM(sizes.input)
+    v_c = ca.DM(abs(design.Dc)) @ (Gc.T @ V_xi)
+    size = ca.DM(sizes.state[terms.n :])
+    rate = ca.fabs(terms.Fc(xi)) @ grad_Hc + Gc @ (G.T @ grad_H + v_c) + size / sizes.time
+    return ca.Function("scales", [x, xi, dt], [u, rate, size + ca.fabs(xi) + dt * rate])
+
+
 def vector_table(source: Source) -> str:
     """``test_vectors.h``: z*, then points of the middle half of the domain."""
     design, real, n = source.design, source.number, source.n
     rng = np.random.default_rng(0)
     lo, hi = design.domain.lo, design.domain.hi
-    step = reference_step(design, source.integrator)
+    step, scales = reference_step(design, source.integrator), rounding_scales(design)
     rows = []
     for index in range(_COUNT):
         inside = rng.uniform(0.75 * lo + 0.25 * hi, 0.25 * lo + 0.75 * hi)
@@ -56,7 +86,9 @@ def vector_table(source: Source) -> str:
         u, xi_dot = design.control(z[:n], z[n:])
         after = np.asarray(step.call([z[:n], z[n:], dt])[1], float).ravel()
         limited, flags = _saturated(design, u)
-        rows.append(_row([z[:n], z[n:]], [u, xi_dot, limited, after], dt, flags, real))
+        allowed = [np.asarray(v, float).ravel() for v in scales.call([z[:n], z[n:], dt])]
+        outputs = [u, xi_dot, limited, after, *allowed]
+        rows.append(_row([z[:n], z[n:]], outputs, dt, flags, real))
     return fill(
         "test_vectors.h",
         count=_COUNT,

@@ -4,6 +4,10 @@ C = K(Σ βᵢ(cᵢ))  or  K(c₁, …, c_r)                         eq. casimir
 u  = −Gcᵀ∇Hc − D Gᵀ ∂V/∂x                                 Lemma EnergyCasimirControl
 ξ̇  = (Jc − Rc)∇Hc + Gc Gᵀ∇H − Gc Dc Gcᵀ ∂V/∂ξ
 ż  = (M/Φ₁ − 𝒢𝒟𝒢ᵀ)∇V,  M = Jcl − Rcl                      docs/theory.md#decrease
+
+References
+----------
+van der Schaft (2017), Proposition 7.1.8.
 """
 
 from __future__ import annotations
@@ -15,6 +19,7 @@ from typing import TypeVar
 
 import casadi as ca
 import numpy as np
+import numpy.typing as npt
 
 from necc_casadi.arrays import Vector
 from necc_casadi.casimirs.casimirs import Casimirs
@@ -79,7 +84,11 @@ def value(
 
 @dataclass(frozen=True, eq=False)
 class LyapunovFunction:
-    """A trained V with its derivatives and the control law, as CasADi functions of numbers."""
+    """A trained V with its derivatives, its control law and its closed loop.
+
+    Methods take one state (n + nc,) or many, (B, n + nc), and give arrays with that first axis;
+    ``…_function`` is the same of CasADi's symbols, states in columns.
+    """
 
     terms: Terms
     form: Form
@@ -93,26 +102,64 @@ class LyapunovFunction:
         form = self.form
         return value(self.terms, z, form.controller_energy(w), form.casimir(w), form.outer(w))
 
+    def V(self, z: npt.ArrayLike) -> Vector:
+        """V(z), one number for each state."""
+        z = np.asarray(z, float)
+        return np.asarray(self.V_function(z.T), float).reshape(z.shape[:-1])
+
+    def gradient(self, z: npt.ArrayLike) -> Vector:
+        """∇V(z), (n + nc,) for each state."""
+        return _in_rows(self.gradient_function, z)
+
+    def hessian(self, z: npt.ArrayLike) -> Vector:
+        """∇²V(z), (n + nc, n + nc) for each state."""
+        z = np.asarray(z, float)
+        N = self.terms.n + self.terms.nc
+        side_by_side = np.asarray(self.hessian_function(z.T), float)
+        return side_by_side.reshape(N, -1, N).transpose(1, 0, 2).reshape(*z.shape, N)
+
+    def phi_slope(self, z: npt.ArrayLike) -> Vector:
+        """Φ₁ = ∂Φ/∂(H + Hc), one number for each state."""
+        z = np.asarray(z, float)
+        return np.asarray(self.phi_slope_function(z.T), float).reshape(z.shape[:-1])
+
+    def control_law(self, x: npt.ArrayLike, xi: npt.ArrayLike) -> tuple[Vector, Vector]:
+        """Plant states (…, n), controller states (…, nc) -> u (…, m), ξ̇ (…, nc)."""
+        x, xi = np.asarray(x, float), np.asarray(xi, float)
+        u, xi_dot = self.control_law_function.call([x.T, xi.T])
+        shape = (*xi.shape[:-1], self.terms.m)
+        return np.asarray(u, float).T.reshape(shape), np.asarray(xi_dot, float).T.reshape(xi.shape)
+
+    def vector_field(self, z: npt.ArrayLike) -> Vector:
+        """Ż of the damped closed loop, (n + nc,) for each state."""
+        return _in_rows(self.vector_field_function, z)
+
+    def linearisation(self, z: npt.ArrayLike) -> Vector:
+        """∂ż/∂z at one state z, (n + nc) × (n + nc)."""
+        s = self._z()
+        jacobian = ca.Function("A", [s], [ca.jacobian(self.vector_field_function(s), s)])
+        return np.asarray(jacobian(np.asarray(z, float)), float)
+
     @cached_property
-    def V(self) -> ca.Function:
+    def V_function(self) -> ca.Function:
         """Z -> V(z), scalar."""
         z = self._z()
         return ca.Function("V", [z], [self(z)], ["z"], ["V"])
 
     @cached_property
-    def gradient(self) -> ca.Function:
+    def gradient_function(self) -> ca.Function:
         """Z -> ∇V, (n + nc,)."""
         z = self._z()
         return ca.Function("grad_V", [z], [ca.gradient(self(z), z)], ["z"], ["grad_V"])
 
     @cached_property
-    def hessian(self) -> ca.Function:
+    def hessian_function(self) -> ca.Function:
         """Z -> ∇²V, (n + nc) × (n + nc)."""
         z = self._z()
         return ca.Function("hess_V", [z], [ca.hessian(self(z), z)[0]], ["z"], ["hess_V"])
 
     @cached_property
-    def phi_slope(self) -> ca.Function:
+    def phi_slope_function(self) -> ca.Function:
         """Z -> Φ₁ = ∂Φ/∂(H + Hc), scalar."""
         z, e, c = self._z(), ca.MX.sym("e"), ca.MX.sym("c")
         w = ca.DM(self.weights)
@@ -122,7 +169,7 @@ class LyapunovFunction:
         return ca.Function("phi_1", [z], [slope(energy, self.form.casimir(w)(self.terms.c(z)))])
 
     @cached_property
-    def control_law(self) -> ca.Function:
+    def control_law_function(self) -> ca.Function:
         """(x, ξ) -> (u, ξ̇), the exported controller."""
         terms = self.terms
         x, xi = ca.MX.sym("x", terms.n), ca.MX.sym("xi", terms.nc)
@@ -137,20 +184,20 @@ class LyapunovFunction:
         return ca.Function("necc", [x, xi], [u, xi_dot], ["x", "xi"], ["u", "xi_dot"])
 
     @cached_property
-    def vector_field(self) -> ca.Function:
+    def vector_field_function(self) -> ca.Function:
         """Z -> ż of the damped closed loop, plant and controller as they are built."""
         terms = self.terms
         z = self._z()
         x, xi = z[: terms.n], z[terms.n :]
-        u, xi_dot = self.control_law.call([x, xi])
+        u, xi_dot = self.control_law_function.call([x, xi])
         x_dot = terms.F(x) @ terms.grad_H(x) + terms.G(x) @ u
         return ca.Function("loop", [z], [ca.vertcat(x_dot, xi_dot)], ["z"], ["z_dot"])
 
-    def linearisation(self, z: Vector) -> Vector:
-        """∂ż/∂z at z, (n + nc) × (n + nc)."""
-        s = self._z()
-        jacobian = ca.Function("A", [s], [ca.jacobian(self.vector_field(s), s)])
-        return np.asarray(jacobian(z), dtype=float)
-
     def _z(self) -> ca.MX:
         return ca.MX.sym("z", self.terms.n + self.terms.nc)
+
+
+def _in_rows(function: ca.Function, z: npt.ArrayLike) -> Vector:
+    """A function from states to vectors of their length, states in rows."""
+    z = np.asarray(z, float)
+    return np.asarray(function(z.T), float).T.reshape(z.shape)

@@ -5,6 +5,10 @@ A network is data: its shape here, its weights in one flat vector. The value is
     f(v) = W_L σ(… σ(W_1 v + b_1) …) + b_L   [+ Σ ½ κᵢ (vᵢ − oᵢ)²  if `quadratic`]
 
 with σ element-wise. Weight layout: W_1 (row by row), b_1, …, W_L, b_L, then κ, o.
+
+References
+----------
+Barron (2021), squareplus.
 """
 
 from __future__ import annotations
@@ -18,6 +22,7 @@ import casadi as ca
 import numpy as np
 
 from necc_casadi.arrays import Vector
+from necc_casadi.cases import Activation
 
 __all__ = ["ACTIVATIONS", "KAPPA_MIN", "MonotonePhi", "Network"]
 
@@ -48,7 +53,7 @@ def _squareplus(v: ca.MX) -> ca.MX:
 
 
 #: Smooth activations, element-wise. squareplus: Barron (2021), a convex, smooth ReLU.
-ACTIVATIONS: dict[str, Callable[[ca.MX], ca.MX]] = {
+ACTIVATIONS: dict[Activation, Callable[[ca.MX], ca.MX]] = {
     "tanh": ca.tanh,
     "sin": ca.sin,
     "squareplus": _squareplus,
@@ -61,7 +66,7 @@ class Network:
 
     inputs: int  # d
     hidden: tuple[int, ...]  # widths of the hidden layers
-    activation: str = "tanh"  # key of ACTIVATIONS
+    activation: Activation = "tanh"
     quadratic: bool = False  # adds Σ ½ κᵢ (vᵢ − oᵢ)² with κ > 0
 
     @property

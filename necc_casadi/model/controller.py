@@ -11,10 +11,8 @@ import sympy as sp
 from necc_casadi.errors import ModelError
 from necc_casadi.model.entries import (
     Property,
-    check_psd,
-    check_rank,
-    check_skew,
     check_states,
+    check_structure,
     shaped_matrix,
     square_matrix,
 )
@@ -116,9 +114,14 @@ def make_controller(
             f"Gc has shape {ports.rows}×{ports.cols}",
             f"Gc must be {nc}×{plant.m}: controller states by inputs.",
         )
-    properties = (
-        check_skew(interconnection, "Jc", "jc_not_skew"),
-        check_psd(dissipation, "Rc", "rc_not_psd", "rc_not_psd"),
-        check_rank(ports, "Gc", "gc_rank"),
+    properties = check_structure(
+        interconnection,
+        dissipation,
+        ports,
+        "c",
+        code_skew="jc_not_skew",
+        code_symmetric="rc_not_psd",
+        code_psd="rc_not_psd",
+        code_rank="gc_rank",
     )
     return Controller(xi, interconnection, dissipation, ports, properties)

@@ -9,11 +9,9 @@ import sympy as sp
 
 from necc_casadi.arrays import Vector
 from necc_casadi.model.closed_loop import ClosedLoop
+from necc_casadi.model.sizes import REACH, natural_sizes
 
-__all__ = ["HALF_WIDTH", "Domain", "domain_of", "exact_bounds"]
-
-#: Half the width of the box where the model names no bounds.
-HALF_WIDTH = 2
+__all__ = ["Domain", "domain_of", "exact_bounds"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,9 +27,9 @@ class Domain:
         return Domain(self.lo[chosen], self.hi[chosen])
 
 
-def domain_of(loop: ClosedLoop, z_star: Vector) -> Domain:
-    """The box of all states (N,): the model's bounds; where it names none, z* ± 2."""
-    lo, hi = z_star - HALF_WIDTH, z_star + HALF_WIDTH
+def domain_of(loop: ClosedLoop, z_star: Vector, size: Vector) -> Domain:
+    """The box of all states (N,): the model's bounds; where it names none, z* ± 2 sizes."""
+    lo, hi = z_star - REACH * size, z_star + REACH * size
     for index, name in enumerate(loop.states):
         if name in loop.plant.domain:
             lo[index], hi[index] = (float(bound) for bound in loop.plant.domain[name])
@@ -43,8 +41,12 @@ def exact_bounds(
 ) -> dict[sp.Symbol, tuple[sp.Expr, sp.Expr]]:
     """The same box in exact numbers; a state without a target of its own is taken around 0."""
     box = {}
-    for symbol in loop.z:
-        middle = target.get(symbol, sp.Integer(0))
-        around = (middle - HALF_WIDTH, middle + HALF_WIDTH)
+    sizes = natural_sizes(loop, (), target)
+    for symbol, size in zip(loop.z, sizes.units.state, strict=True):
+        middle, half = (
+            target.get(symbol, sp.Integer(0)),
+            REACH * sp.Rational(*float(size).as_integer_ratio()),
+        )
+        around = (middle - half, middle + half)
         box[symbol] = loop.plant.domain.get(str(symbol), around)
     return box

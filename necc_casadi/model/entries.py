@@ -4,23 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import sympy as sp
 
 from necc_casadi.errors import ModelError
 from necc_casadi.symbolic.expressions import FUNCTIONS, exact, is_finite, non_smooth_part
+from necc_casadi.symbolic.floats import to_float
 from necc_casadi.symbolic.linear_algebra import generic_rank
 from necc_casadi.symbolic.semidefinite import is_positive_semidefinite
 from necc_casadi.symbolic.zero import is_zero, sign
 
 __all__ = [
     "Property",
-    "check_psd",
-    "check_rank",
-    "check_skew",
+    "PropertyKind",
     "check_states",
+    "check_structure",
     "not_psd",
     "scalar_entry",
     "shaped_matrix",
@@ -29,12 +29,37 @@ __all__ = [
 ]
 
 
+#: J = −Jᵀ, R = Rᵀ ⪰ 0, or full rank of G.
+PropertyKind = Literal["skew", "psd", "rank"]
+
+
 @dataclass(frozen=True)
 class Property:
     """A structural property that must hold for all x, and how it is known."""
 
-    name: str  # e.g. "R ⪰ 0"
+    kind: PropertyKind
+    matrix: str  # name of the matrix: J, R, G, Jc, Rc or Gc
     proved: bool  # False: it held at sampled points only
+    rank: int | None = None  # of G or Gc
+
+    @property
+    def name(self) -> str:
+        """The property in words, e.g. ``R ⪰ 0``."""
+        if self.kind == "skew":
+            return f"{self.matrix} = -{self.matrix}ᵀ"
+        return f"{self.matrix} ⪰ 0" if self.kind == "psd" else f"rank {self.matrix} = {self.rank}"
+
+    @classmethod
+    def named(cls, name: str, proved: bool) -> Property:
+        """The property that has this name, as a file gives it; ValueError where there is none."""
+        match name.split():
+            case ["rank", matrix, "=", rank]:
+                return cls("rank", matrix, proved, int(rank))
+            case [matrix, "⪰", "0"]:
+                return cls("psd", matrix, proved)
+            case [matrix, "=", transposed] if transposed == f"-{matrix}ᵀ":
+                return cls("skew", matrix, proved)
+        raise ValueError(f"{name!r} is no property of a model")
 
 
 def check_states(symbols: Sequence[sp.Symbol], label: str) -> None:
@@ -124,7 +149,32 @@ def square_matrix(
     return matrix
 
 
-def check_skew(J: sp.MatrixBase, label: str, code: str) -> Property:
+def check_structure(
+    J: sp.MatrixBase,
+    R: sp.MatrixBase,
+    G: sp.MatrixBase,
+    suffix: str = "",
+    *,
+    code_skew: str,
+    code_symmetric: str,
+    code_psd: str,
+    code_rank: str,
+) -> tuple[Property, Property, Property]:
+    """Decide J = −Jᵀ, R = Rᵀ ⪰ 0 and full rank of G; `suffix` is c for the controller's.
+
+    Raises
+    ------
+    ModelError
+        With the code of the first of them that fails.
+    """
+    return (
+        _decide_skew(J, f"J{suffix}", code_skew),
+        _decide_psd(R, f"R{suffix}", code_symmetric, code_psd),
+        _decide_rank(G, f"G{suffix}", code_rank),
+    )
+
+
+def _decide_skew(J: sp.MatrixBase, label: str, code: str) -> Property:
     """Decide J = −Jᵀ entry by entry."""
     proved = True
     for i in range(J.rows):
@@ -140,10 +190,10 @@ def check_skew(J: sp.MatrixBase, label: str, code: str) -> Property:
                     + (", so zero on the diagonal." if i == j else "."),
                 )
             proved = proved and verdict is True
-    return Property(f"{label} = -{label}ᵀ", proved)
+    return Property("skew", label, proved)
 
 
-def check_psd(R: sp.MatrixBase, label: str, code_symmetric: str, code_psd: str) -> Property:
+def _decide_psd(R: sp.MatrixBase, label: str, code_symmetric: str, code_psd: str) -> Property:
     """Decide R = Rᵀ ⪰ 0; what is undecided is sampled once the target is known."""
     proved = True
     for i in range(R.rows):
@@ -160,7 +210,20 @@ def check_psd(R: sp.MatrixBase, label: str, code_symmetric: str, code_psd: str) 
     verdict = is_positive_semidefinite(sp.Matrix(R))
     if verdict is False:
         raise ModelError(code_psd, *not_psd(R, label, {}))
-    return Property(f"{label} ⪰ 0", proved and verdict is True)
+    return Property("psd", label, proved and verdict is True)
+
+
+def _decide_rank(G: sp.MatrixBase, label: str, code: str) -> Property:
+    """Decide that G has full rank (min of its sides) at generic points."""
+    full = min(G.shape)
+    rank = generic_rank(sp.Matrix(G))
+    if rank < full:
+        raise ModelError(
+            code,
+            f"{label} has rank {rank}, but shape {G.rows}×{G.cols}",
+            f"{label} needs full rank {full}: remove inputs that act alike.",
+        )
+    return Property("rank", label, not G.free_symbols, full)
 
 
 def not_psd(R: sp.MatrixBase, label: str, point: Mapping[sp.Symbol, sp.Expr]) -> tuple[str, str]:
@@ -172,7 +235,7 @@ def not_psd(R: sp.MatrixBase, label: str, point: Mapping[sp.Symbol, sp.Expr]) ->
         if not value.free_symbols and sign(value) == -1:
             return (
                 f"{label} must be positive semidefinite: {label}[{i},{i}] = "
-                f"{float(sp.N(value)):.4g}{where}",
+                f"{to_float(value):.4g}{where}",
                 remedy,
             )
     there = sp.Matrix(R.subs(point))
@@ -183,19 +246,6 @@ def not_psd(R: sp.MatrixBase, label: str, point: Mapping[sp.Symbol, sp.Expr]) ->
         f"{label} must be positive semidefinite: its least eigenvalue is {lowest:.3g}{where}",
         remedy,
     )
-
-
-def check_rank(G: sp.MatrixBase, label: str, code: str) -> Property:
-    """Decide that G has full rank (min of its sides) at generic points."""
-    full = min(G.shape)
-    rank = generic_rank(sp.Matrix(G))
-    if rank < full:
-        raise ModelError(
-            code,
-            f"{label} has rank {rank}, but shape {G.rows}×{G.cols}",
-            f"{label} needs full rank {full}: remove inputs that act alike.",
-        )
-    return Property(f"rank {label} = {full}", not G.free_symbols)
 
 
 def shown_point(point: Mapping[sp.Symbol, sp.Expr]) -> str:

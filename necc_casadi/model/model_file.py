@@ -21,7 +21,8 @@ from necc_casadi.arrays import Vector
 from necc_casadi.errors import InputError, ModelError, OptionError
 from necc_casadi.model.closed_loop import ClosedLoop, interconnect
 from necc_casadi.model.controller import Controller, default_controller, make_controller
-from necc_casadi.model.plant import make_plant
+from necc_casadi.model.plant import Plant, make_plant
+from necc_casadi.model.sizes import input_names
 from necc_casadi.symbolic.expressions import exact, parse_number
 
 __all__ = ["Model", "damping_matrix", "load_model"]
@@ -31,9 +32,12 @@ _REQUIRED = ("x", "J", "R", "G", "H")
 
 
 _OPTIONAL = (
-    "params", "xi", "Jc", "Rc", "Gc", "casimirs", "target", "domain", "D", "Dc", "u_limits",
-    "units", "name",
+    "params", "xi", "Jc", "Rc", "Gc", "casimirs", "target", "domain", "sizes", "D", "Dc",
+    "u_limits", "units", "name",
 )  # fmt: skip
+
+
+_CONTROLLER = ("Jc", "Rc", "Gc")
 
 
 #: Names at least this long are compared with what the file defines; alike from this ratio on.
@@ -163,45 +167,78 @@ def _mistyped(space: Mapping[str, Any]) -> tuple[str, ...]:
 
 
 def _build(path: Path, space: dict[str, Any], overrides: Mapping[str, str]) -> Model:
-    states, xi = _symbols(space["x"], "x"), _symbols(space.get("xi", ()), "xi")
-    values = _substitutions(space, states, xi, overrides)
-
-    def read(value: Any) -> Any:
-        if isinstance(value, sp.MatrixBase):
-            return value.applyfunc(lambda entry: exact(entry).xreplace(values))
-        if isinstance(value, (list, tuple, np.ndarray)):
-            return [read(entry) for entry in value]
-        expr = exact(value)
-        return expr.xreplace({s: values.get(s, _real(s)) for s in expr.free_symbols})
-
-    def attempt(value: Any) -> Any:
-        try:
-            return read(value)
-        except (TypeError, ValueError, AttributeError):
-            return value  # make_plant names it and says what would work
-
+    file = _Reader(space, overrides)
     plant = make_plant(
-        [_real(s) for s in states],
-        *(attempt(space[key]) for key in ("J", "R", "G", "H")),
+        [_real(s) for s in file.states],
+        *(file.attempt(name) for name in ("J", "R", "G", "H")),
         name=str(space.get("name", path.stem)),
-        units={str(key): str(unit) for key, unit in dict(space.get("units", {})).items()},
-        u_limits=_limits(space.get("u_limits"), read),
+        units={name: str(unit) for name, unit in file.table("units").items()},
+        u_limits=_limits(file),
     )
-    controller = _controller(plant, space, [_real(s) for s in xi], read)
-    loop = interconnect(plant, controller)
-    domain = _domain(dict(space.get("domain", {})), loop.states, read)
-    loop = replace(loop, plant=replace(plant, domain=domain))
-    target = space.get("target")
+    loop = interconnect(plant, _controller(plant, file))
+    plant = replace(
+        plant,
+        domain=_domain(file, loop.states),
+        sizes=_sizes(file, (*loop.states, *input_names(plant.m))),
+    )
+    named = "target" in space and space["target"] is not None
     return Model(
-        loop=loop,
-        casimirs=tuple(read(c) for c in space.get("casimirs", ())),
-        target=None if target is None else {str(k): read(v) for k, v in dict(target).items()},
-        D=_damping(space.get("D"), plant.m, "D", read),
-        Dc=_damping(space.get("Dc"), plant.m, "Dc", read),
+        loop=replace(loop, plant=plant),
+        casimirs=tuple(file.read(c) for c in space.get("casimirs", ())),
+        target={k: file.read(v) for k, v in file.table("target").items()} if named else None,
+        D=_damping(file, "D", plant.m),
+        Dc=_damping(file, "Dc", plant.m),
     )
 
 
-def _symbols(value: Any, label: str) -> list[Any]:
+class _Reader:
+    """The values of a model file: exact, of real symbols, with parameters as their values."""
+
+    def __init__(self, space: Mapping[str, Any], overrides: Mapping[str, str]) -> None:
+        self.space = space
+        self.states = _symbols(space["x"], "x")
+        self.xi = _symbols(space.get("xi", ()), "xi")
+        parameters = _parameters(self.table("params"), {str(s) for s in self._own}, overrides)
+        self._values = {s: parameters.get(str(s), _real(s)) for s in self._occurring()}
+
+    @property
+    def _own(self) -> list[sp.Symbol]:
+        return [*self.states, *self.xi]
+
+    def _occurring(self) -> set[sp.Symbol]:
+        """Every symbol that occurs in the file."""
+        parts: list[object] = [*self._own, *dict(self.space.get("params", {}))]
+        for value in self.space.values():
+            parts += value if isinstance(value, (list, tuple)) else [value]
+        return {
+            symbol
+            for part in parts
+            if isinstance(part, (sp.Basic, sp.MatrixBase))
+            for symbol in part.free_symbols
+        }
+
+    def table(self, name: str) -> dict[str, Any]:
+        """What the file says by name of a state, an input or a parameter; empty without it."""
+        return {str(key): value for key, value in dict(self.space.get(name, {})).items()}
+
+    def read(self, value: Any) -> Any:
+        """A number, a matrix or a nested list."""
+        if isinstance(value, sp.MatrixBase):
+            return value.applyfunc(lambda entry: exact(entry).xreplace(self._values))
+        if isinstance(value, (list, tuple, np.ndarray)):
+            return [self.read(entry) for entry in value]
+        expr = exact(value)
+        return expr.xreplace({s: self._values.get(s, _real(s)) for s in expr.free_symbols})
+
+    def attempt(self, name: str) -> Any:
+        """An entry of the plant; what cannot be read is named by make_plant."""
+        try:
+            return self.read(self.space[name])
+        except (TypeError, ValueError, AttributeError):
+            return self.space[name]
+
+
+def _symbols(value: Any, label: str) -> list[sp.Symbol]:
     if isinstance(value, sp.Symbol):
         return [value]
     try:
@@ -212,16 +249,15 @@ def _symbols(value: Any, label: str) -> list[Any]:
         ) from None
 
 
-def _real(symbol: Any) -> Any:
-    """The same symbol, real: models need not say so."""
+def _real(symbol: sp.Symbol) -> sp.Symbol:
+    """The same symbol, real: models need not say so. What is no symbol is refused later."""
     return sp.Symbol(symbol.name, real=True) if isinstance(symbol, sp.Symbol) else symbol
 
 
-def _substitutions(
-    space: dict[str, Any], states: list[Any], xi: list[Any], overrides: Mapping[str, str]
-) -> dict[sp.Symbol, sp.Expr]:
-    """Every symbol of the file -> a real state symbol or the exact value of a parameter."""
-    params = {str(key): value for key, value in dict(space.get("params", {})).items()}
+def _parameters(
+    params: Mapping[str, object], states: set[str], overrides: Mapping[str, str]
+) -> dict[str, sp.Expr]:
+    """Exact values of the parameters, as the file or `overrides` give them."""
     for name in overrides:
         if name not in params:
             known = ", ".join(params) or "none"
@@ -230,58 +266,44 @@ def _substitutions(
                 f"--param {name}: the model has no parameter {name}",
                 f"Its parameters: {known}.",
             )
-    names = {str(s) for s in (*states, *xi)}
-    exact_values: dict[str, sp.Expr] = {}
+    values = {}
     for name, value in params.items():
-        if name in names:
+        if name in states:
             raise ModelError(
-                "name_clash",
-                f"{name} is a state and a parameter",
-                "Rename one of them.",
+                "name_clash", f"{name} is a state and a parameter", "Rename one of them."
             )
-        text = overrides.get(name)
-        number = (
-            parse_number(text, f"--param {name}", "param", ModelError)
-            if text is not None
-            else value
-        )
-        number = exact(sp.sympify(number))
+        if name in overrides:
+            value = parse_number(overrides[name], f"--param {name}", "param", ModelError)
+        number = exact(sp.sympify(value))
         if not number.is_number or number.is_real is not True:
             raise ModelError(
                 "param", f"params[{name}] = {number} is not a real number", "Give it a number."
             )
-        exact_values[name] = number
-    everything = {s for s in (*states, *xi) if isinstance(s, sp.Symbol)}
-    for value in space.values():
-        if isinstance(value, (sp.Basic, sp.MatrixBase)):
-            everything |= value.free_symbols
-        elif isinstance(value, (list, tuple)):
-            for entry in value:
-                everything |= getattr(entry, "free_symbols", set())
-    everything |= {key for key in dict(space.get("params", {})) if isinstance(key, sp.Symbol)}
-    return {s: exact_values.get(str(s), _real(s)) for s in everything}
+        values[name] = number
+    return values
 
 
-def _controller(plant: Any, space: dict[str, Any], xi: list[Any], read: Any) -> Controller:
-    given = [key for key in ("xi", "Jc", "Rc", "Gc") if key in space]
-    if not given:
+def _controller(plant: Plant, file: _Reader) -> Controller:
+    given = {name: file.read(file.space[name]) for name in _CONTROLLER if name in file.space}
+    if not given and "xi" not in file.space:
         return default_controller(plant)
-    if "xi" not in space:
-        nc = max((sp.Matrix(read(space[key])).rows for key in given), default=plant.m)
+    xi = [_real(s) for s in file.xi]
+    if "xi" not in file.space:
+        nc = max(sp.Matrix(matrix).rows for matrix in given.values())
         xi = list(sp.symbols([f"xi{i + 1}" for i in range(nc)], real=True))
     nc = len(xi)
-    defaults = {"Jc": sp.zeros(nc, nc), "Rc": sp.zeros(nc, nc), "Gc": sp.eye(nc)}
-    matrices = [read(space[key]) if key in space else defaults[key] for key in defaults]
-    return make_controller(plant, xi, *matrices)
+    matrices = {"Jc": sp.zeros(nc, nc), "Rc": sp.zeros(nc, nc), "Gc": sp.eye(nc)} | given
+    return make_controller(plant, xi, **matrices)
 
 
-def _limits(value: Any, read: Any) -> list[tuple[float, float]] | None:
+def _limits(file: _Reader) -> list[tuple[float, float]] | None:
+    value = file.space.get("u_limits")
     if value is None:
         return None
     result = []
     for index, pair in enumerate(value if isinstance(value, (list, tuple)) else [value]):
         try:
-            lo, hi = (float(read(bound)) for bound in pair)
+            lo, hi = (float(file.read(bound)) for bound in pair)
         except (TypeError, ValueError):
             lo, hi = 1.0, 0.0
         if not lo < hi:
@@ -294,18 +316,15 @@ def _limits(value: Any, read: Any) -> list[tuple[float, float]] | None:
     return result
 
 
-def _domain(
-    value: Mapping[Any, Any], states: Sequence[str], read: Any
-) -> dict[str, tuple[sp.Expr, sp.Expr]]:
+def _domain(file: _Reader, states: Sequence[str]) -> dict[str, tuple[sp.Expr, sp.Expr]]:
     result = {}
-    for key, bounds in value.items():
-        name = str(key)
+    for name, bounds in file.table("domain").items():
         if name not in states:
             raise ModelError(
                 "domain", f"domain names {name}, which is no state", f"States: {', '.join(states)}."
             )
         try:
-            lo, hi = (read(bound) for bound in bounds)
+            lo, hi = (file.read(bound) for bound in bounds)
             ordered = bool(lo < hi) and bool(lo.is_finite and hi.is_finite)
         except (TypeError, ValueError, AttributeError):
             ordered = False
@@ -319,16 +338,38 @@ def _domain(
     return result
 
 
-def _damping(value: Any, m: int, label: str, read: Any) -> Vector | None:
+def _sizes(file: _Reader, names: Sequence[str]) -> dict[str, sp.Expr]:
+    result = {}
+    for name, size in file.table("sizes").items():
+        if name not in names:
+            raise ModelError(
+                "model_file",
+                f"sizes names {name}, which is no state and no input",
+                f"States and inputs: {', '.join(names)}.",
+            )
+        try:
+            number = file.read(size)
+            positive = bool(number > 0) and bool(number.is_finite)
+        except (TypeError, ValueError, AttributeError):
+            positive = False
+        if not positive:
+            raise ModelError(
+                "model_file",
+                f"sizes[{name}] = {size} is not a positive number",
+                "Give what a large value of it is.",
+            )
+        result[name] = number
+    return result
+
+
+def _damping(file: _Reader, label: str, m: int) -> Vector | None:
+    value = file.space.get(label)
     if value is None:
         return None
     try:
-        numbers = np.array(
-            sp.Matrix(sp.sympify(read(value))).evalf()
-            if isinstance(value, (list, tuple, sp.MatrixBase, np.ndarray))
-            else [[read(value)]],
-            dtype=float,
-        )
+        read = file.read(value)
+        whole = isinstance(value, (list, tuple, sp.MatrixBase, np.ndarray))
+        numbers = np.array(sp.Matrix(sp.sympify(read) if whole else [read]).evalf(), dtype=float)
     except (TypeError, ValueError):
         raise ModelError(
             "model_file", f"{label} = {value} is not numeric", "Give a number or a matrix."

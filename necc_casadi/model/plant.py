@@ -11,10 +11,8 @@ import sympy as sp
 from necc_casadi.errors import ModelError
 from necc_casadi.model.entries import (
     Property,
-    check_psd,
-    check_rank,
-    check_skew,
     check_states,
+    check_structure,
     scalar_entry,
     shaped_matrix,
     square_matrix,
@@ -58,6 +56,7 @@ class Plant:
     units: Mapping[str, str] = field(default_factory=dict)  # name of a state -> unit
     domain: Mapping[str, tuple[sp.Expr, sp.Expr]] = field(default_factory=dict)
     u_limits: tuple[tuple[float, float], ...] | None = None  # (m,) pairs
+    sizes: Mapping[str, sp.Expr] = field(default_factory=dict)  # name of a state or input -> size
     properties: tuple[Property, ...] = ()
 
     @property
@@ -166,10 +165,14 @@ def make_plant(
             f"G has shape {ports.rows}×{ports.cols}, but x has {n} states",
             f"G needs {n} rows and one column per input.",
         )
-    properties = (
-        check_skew(interconnection, "J", "j_not_skew"),
-        check_psd(dissipation, "R", "r_not_symmetric", "r_not_psd"),
-        check_rank(ports, "G", "g_rank"),
+    properties = check_structure(
+        interconnection,
+        dissipation,
+        ports,
+        code_skew="j_not_skew",
+        code_symmetric="r_not_symmetric",
+        code_psd="r_not_psd",
+        code_rank="g_rank",
     )
     if u_limits is not None and len(u_limits) != ports.cols:
         raise ModelError(

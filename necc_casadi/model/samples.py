@@ -1,4 +1,9 @@
-"""Points that fill a box evenly."""
+"""Points that fill a box evenly.
+
+References
+----------
+Halton (1960).
+"""
 
 from __future__ import annotations
 

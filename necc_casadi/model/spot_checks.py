@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 import numpy as np
 import sympy as sp
@@ -11,11 +11,17 @@ from necc_casadi.arrays import Vector
 from necc_casadi.errors import ModelError
 from necc_casadi.model.closed_loop import ClosedLoop
 from necc_casadi.model.domain import exact_bounds
-from necc_casadi.model.entries import not_psd, shown_point
+from necc_casadi.model.entries import PropertyKind, not_psd, shown_point
 from necc_casadi.symbolic.expressions import is_finite
 from necc_casadi.symbolic.zero import random_point
 
 __all__ = ["check_model_at"]
+
+
+_Box = Mapping[sp.Symbol, tuple[sp.Expr, sp.Expr]]
+
+
+_Sampler = Callable[[sp.MatrixBase, str, _Box], None]
 
 
 _SAMPLES = 200
@@ -47,16 +53,15 @@ def check_model_at(loop: ClosedLoop, x_star: Mapping[sp.Symbol, sp.Expr]) -> Non
         # each different entry once: matrices of large plants are mostly zeros
         for expr in dict.fromkeys(value for value in values if value.free_symbols):
             _check_defined(expr, label, x_star)
-    unproved = {p.name for p in loop.properties if not p.proved}
-    box = exact_bounds(loop, x_star)
     for label, matrix in (("G", plant.G), ("Gc", controller.Gc)):
         _check_rank(matrix, label, x_star)
-    for label, matrix in (("J", plant.J), ("Jc", controller.Jc)):
-        if f"{label} = -{label}ᵀ" in unproved:
-            _sample_skew(matrix, label, box)
-    for label, matrix in (("R", plant.R), ("Rc", controller.Rc)):
-        if f"{label} ⪰ 0" in unproved:
-            _sample_psd(matrix, label, box)
+    structure = {"J": plant.J, "R": plant.R, "Jc": controller.Jc, "Rc": controller.Rc}
+    box = exact_bounds(loop, x_star)
+    samplers: dict[PropertyKind, _Sampler] = {"skew": _sample_skew, "psd": _sample_psd}
+    for kind, sample in samplers.items():
+        for p in loop.properties:
+            if p.kind == kind and not p.proved:
+                sample(structure[p.matrix], p.matrix, box)
 
 
 def _check_defined(expr: sp.Expr, label: str, x_star: Mapping[sp.Symbol, sp.Expr]) -> None:
@@ -84,7 +89,7 @@ def _check_rank(matrix: sp.MatrixBase, label: str, x_star: Mapping[sp.Symbol, sp
 
 
 def _samples(
-    matrix: sp.MatrixBase, label: str, box: Mapping[sp.Symbol, tuple[sp.Expr, sp.Expr]]
+    matrix: sp.MatrixBase, label: str, box: _Box
 ) -> list[tuple[dict[sp.Symbol, sp.Rational], Vector]]:
     """Random points of the box and the matrix there."""
     symbols = sorted(matrix.free_symbols, key=str)
@@ -104,17 +109,13 @@ def _samples(
     return result
 
 
-def _sample_psd(
-    matrix: sp.MatrixBase, label: str, box: Mapping[sp.Symbol, tuple[sp.Expr, sp.Expr]]
-) -> None:
+def _sample_psd(matrix: sp.MatrixBase, label: str, box: _Box) -> None:
     for point, value in _samples(matrix, label, box):
         if np.linalg.eigvalsh(value)[0] < -_RELATIVE * max(1.0, float(np.abs(value).max())):
             raise ModelError(f"{label.lower()}_not_psd", *not_psd(matrix, label, point))
 
 
-def _sample_skew(
-    matrix: sp.MatrixBase, label: str, box: Mapping[sp.Symbol, tuple[sp.Expr, sp.Expr]]
-) -> None:
+def _sample_skew(matrix: sp.MatrixBase, label: str, box: _Box) -> None:
     for point, value in _samples(matrix, label, box):
         i, j = np.unravel_index(np.argmax(np.abs(value + value.T)), value.shape)
         total = value[i, j] + value[j, i]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 
 import numpy as np
 import sympy as sp
@@ -11,6 +12,7 @@ from necc_casadi.arrays import Vector
 from necc_casadi.errors import TargetError
 from necc_casadi.model.plant import Plant
 from necc_casadi.symbolic.expressions import parse_number
+from necc_casadi.symbolic.floats import to_floats
 
 __all__ = [
     "free_coordinates",
@@ -152,12 +154,12 @@ def free_coordinates(plant: Plant) -> tuple[list[sp.Symbol], int]:
     starts; it interprets bare values only, every target is checked exactly afterwards.
     """
     varies, dimension = np.zeros(plant.n, bool), 0
-    jacobian = _equations(plant)[1]
+    equations = _equations(plant)
     for seed in range(4):
-        point = _project(plant, np.random.default_rng(seed).uniform(-1, 1, plant.n))
+        point = _project(equations, np.random.default_rng(seed).uniform(-1, 1, plant.n))
         if point is None:
             continue
-        null = _null_space(jacobian(point))
+        null = _null_space(equations.jacobian(point))
         dimension = max(dimension, null.shape[1])
         varies |= np.linalg.norm(null, axis=1) > 1e-7
     return [s for s, v in zip(plant.x, varies, strict=True) if v], dimension
@@ -171,36 +173,42 @@ def _null_space(matrix: Vector) -> Vector:
     return right[rank:].T
 
 
-def _equations(plant: Plant) -> tuple[Callable[[Vector], Vector], Callable[[Vector], Vector]]:
-    """(residual, Jacobian) of the equilibrium equations as numpy functions."""
+@dataclass(frozen=True)
+class _Equations:
+    """Residual r: (n,) → (k,) of the equilibrium equations, and its Jacobian (n,) → (k, n)."""
+
+    residual: Callable[[Vector], Vector]
+    jacobian: Callable[[Vector], Vector]
+
+
+def _equations(plant: Plant) -> _Equations:
     equations = sp.Matrix(plant.equilibrium_equations)
     if not equations:
-        return (lambda x: np.zeros(0)), (lambda x: np.zeros((0, plant.n)))
+        return _Equations(lambda x: np.zeros(0), lambda x: np.zeros((0, plant.n)))
     residual = sp.lambdify([plant.x], equations, "numpy", cse=True)
     jacobian = sp.lambdify([plant.x], equations.jacobian(plant.x), "numpy", cse=True)
-    return (
+    return _Equations(
         lambda x: np.asarray(residual(x), float).ravel(),
         lambda x: np.asarray(jacobian(x), float),
     )
 
 
-def _project(plant: Plant, x: Vector) -> Vector | None:
+def _project(equations: _Equations, x: Vector) -> Vector | None:
     """A point of the equilibrium set near x, by Gauss–Newton; None if it does not converge."""
-    residual, jacobian = _equations(plant)
     with np.errstate(all="ignore"):
         for _ in range(50):
-            r = residual(x)
+            r = equations.residual(x)
             if not np.all(np.isfinite(r)):
                 return None
             if np.linalg.norm(r) < 1e-12:
                 return x
-            x = x - np.linalg.pinv(jacobian(x), rcond=1e-10) @ r
-    return x if np.linalg.norm(residual(x)) < 1e-8 else None
+            x = x - np.linalg.pinv(equations.jacobian(x), rcond=1e-10) @ r
+    return x if np.linalg.norm(equations.residual(x)) < 1e-8 else None
 
 
 def nearest_equilibrium(plant: Plant, x_star: Mapping[sp.Symbol, sp.Expr]) -> Vector | None:
     """The equilibrium that Gauss–Newton finds from x*, (n,), to suggest it; None if none."""
-    return _project(plant, np.array([float(sp.N(x_star[s])) for s in plant.x]))
+    return _project(_equations(plant), to_floats(x_star[s] for s in plant.x))
 
 
 def solve_target(plant: Plant, given: Mapping[sp.Symbol, sp.Expr]) -> dict[sp.Symbol, sp.Expr]:

@@ -2,25 +2,42 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import sympy as sp
 
 from necc_casadi.casimirs.casimirs import Casimirs
+from necc_casadi.certificate.claims.certificate import Certificate
+from necc_casadi.certificate.claims.regions import GridRegion
+from necc_casadi.designs.design import Design
 from necc_casadi.model.model_file import Model
+from necc_casadi.model.sizes import Sizes
 from necc_casadi.model.target import nearest_equilibrium
 from necc_casadi.pipeline.request import option_word
+from necc_casadi.simulation.responses import Trajectory
+from necc_casadi.synthesis.options import Options
 from necc_casadi.verdict.controller_structures import suggest_controllers
 
-__all__ = ["NOTED_LOSS", "SMALL_SHARE", "model_notes", "nearest_note", "structure_offers"]
+__all__ = [
+    "design_notes",
+    "model_notes",
+    "nearest_note",
+    "region_notes",
+    "response_notes",
+    "structure_offers",
+]
 
 
-#: A design whose ε is above this gets a note with IPOPT's status and what to try.
-NOTED_LOSS = 1e-9
+#: A design whose ε, in natural units, is above this gets a note: IPOPT's status, what to try.
+_NOTED_LOSS = 1e-9
 
 
 #: A proved region below this share of the domain gets a note on how it may grow.
-SMALL_SHARE = 0.1
+_SMALL_SHARE = 0.1
+
+
+#: Longer lists of names are shortened.
+_FEW_NAMES = 6
 
 
 def structure_offers(model: Model, x_star: Mapping[sp.Symbol, sp.Expr]) -> list[str]:
@@ -53,3 +70,57 @@ def model_notes(model: Model, casimirs: Casimirs) -> list[str]:
         if not p.proved
     ]
     return [*model.notes, *notes, *([casimirs.note] if casimirs.note else [])]
+
+
+def design_notes(made: Design, options: Options) -> list[str]:
+    """What was guessed for a design, and where it fell short of what was asked."""
+    notes = _size_notes(made.sizes)
+    if made.a < made.a_requested:
+        notes.append(
+            f"a = {made.a_requested:.4g} was asked for, but no network can exceed "
+            f"a_max = {made.verdict.a_max:.4g}: a = {made.a:.4g} is used"
+        )
+    best = min(made.starts, key=lambda s: s.loss)
+    if best.loss > _NOTED_LOSS:
+        notes.append(f"IPOPT: {best.explained.meaning}. {best.explained.remedy}")
+    if options.shaping is not None and best.mode != "shaped":
+        notes.append(
+            f"--shape {options.shape} was not reached: V meets the conditions at z* only. "
+            "Try another --seed, more --starts or wider networks"
+        )
+    return notes
+
+
+def _size_notes(sizes: Sizes) -> list[str]:
+    """A warning where natural sizes were guessed."""
+    if not sizes.guessed:
+        return []
+    names = sizes.guessed
+    listed = ", ".join(names if len(names) <= _FEW_NAMES else [names[0], "…", names[-1]])
+    return [
+        f"sizes of {listed} were guessed; where they are far off, add "
+        "sizes = {name: a large value} to the model file"
+    ]
+
+
+def region_notes(certificate: Certificate, options: Options) -> list[str]:
+    """How a small region on a grid may grow: V can be shaped for it."""
+    share = certificate.domain_share
+    plain = options.shaping is None and not (options.convex or options.learn_casimir)
+    small = (
+        share is not None and share < _SMALL_SHARE and isinstance(certificate.region, GridRegion)
+    )
+    if plain and small and options.phi == "sum":
+        return ["the proved region is small: --shape level shapes V for a larger one"]
+    return []
+
+
+def response_notes(responses: Sequence[Trajectory], patience: float) -> list[str]:
+    """How many responses were cut when the time for computing them, in s, was over."""
+    cut = sum(response.cut for response in responses)
+    if not cut:
+        return []
+    return [
+        f"{cut} of {len(responses)} responses were cut after {patience:g} s of computing: "
+        "the loop is stiff or very slow"
+    ]

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import sympy as sp
 
+from necc_casadi.cases import Activation, CasimirForm, Integrator, PhiForm, Precision, Shape
 from necc_casadi.errors import OptionError
 from necc_casadi.model.closed_loop import interconnect
 from necc_casadi.model.model_file import Model, damping_matrix
@@ -18,6 +18,7 @@ from necc_casadi.synthesis.options import Options, check_options, paper_options
 from necc_casadi.verdict.controller_structures import suggest_controllers
 
 __all__ = [
+    "Choices",
     "Request",
     "option_word",
     "read_options",
@@ -25,6 +26,30 @@ __all__ = [
     "read_target",
     "with_structure",
 ]
+
+
+@dataclass(frozen=True)
+class Choices:
+    """Fields of the synthesis' options, as far as they were given; None: not given."""
+
+    hidden_k: tuple[int, ...] | None = None
+    hidden_h: tuple[int, ...] | None = None
+    activation: Activation | None = None
+    casimir_form: CasimirForm | None = None
+    phi: PhiForm | None = None
+    a: float | None = None
+    convex: bool | None = None
+    learn_casimir: bool | None = None
+    shape: Shape | None = None
+    gamma: float | None = None
+    seed: int | None = None
+    starts: int | None = None
+    verbose: bool | None = None
+
+    def over(self, options: Options) -> Options:
+        """The options with what was given in place of theirs."""
+        given = {f.name: getattr(self, f.name) for f in fields(self)}
+        return replace(options, **{name: v for name, v in given.items() if v is not None})
 
 
 @dataclass(frozen=True)
@@ -37,15 +62,15 @@ class Request:
     param: Sequence[str] = ()  # NAME=VALUE
     check: bool = False
     paper: bool = False
-    chosen: dict[str, Any] = field(default_factory=dict)  # fields of Options that were given
+    chosen: Choices = Choices()
     damping: tuple[float, ...] | None = None
     controller_damping: tuple[float, ...] | None = None
     plots: bool = True
     sweep_a: tuple[float, float, int] | None = None
     structure: str | None = None  # name of a controller structure that the tool offers
-    real: str = "double"
+    real: Precision = "double"
     sample_time: float | None = None
-    integrator: str = "heun"
+    integrator: Integrator = "heun"
     fmu: bool = False
     mex: bool = False
 
@@ -104,13 +129,12 @@ def read_options(request: Request, model: Model) -> Options:
     """The options of the synthesis, from the request and the model."""
     m = model.loop.plant.m
     options = paper_options(m) if request.paper else Options(D=model.D, Dc=model.Dc)
-    dampings: dict[str, Any] = {}
     if request.damping is not None:
-        dampings["D"] = damping_matrix(np.array(request.damping), m, "--damping")
+        D = damping_matrix(np.array(request.damping), m, "--damping")
+        options = replace(options, D=D)
     if request.controller_damping is not None:
-        dampings["Dc"] = damping_matrix(
-            np.array(request.controller_damping), m, "--controller-damping"
-        )
-    options = replace(options, **request.chosen, **dampings)
+        Dc = damping_matrix(np.array(request.controller_damping), m, "--controller-damping")
+        options = replace(options, Dc=Dc)
+    options = request.chosen.over(options)
     check_options(options)
     return options

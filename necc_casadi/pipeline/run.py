@@ -1,34 +1,40 @@
-"""One run of ``necc-design``, stage by stage: verdict, design, certificate, responses, files."""
+"""One run of ``necc-design``, stage by stage: verdict, design, certificate, responses, files.
+
+Each stage takes what it needs and returns what it found; :func:`run_design` alone puts that
+together.
+"""
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
 import re
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
+import sympy as sp
 
 from necc_casadi.casimirs.casimirs import Casimirs
 from necc_casadi.casimirs.find import find_casimirs
 from necc_casadi.certificate.claims.certificate import Certificate
-from necc_casadi.certificate.claims.regions import GridRegion
 from necc_casadi.certificate.prover.certify import certify
 from necc_casadi.designs.design import Design
+from necc_casadi.designs.outcome import Start
+from necc_casadi.export.sampled_loop import SampledLoop
 from necc_casadi.files import check_writable, write_text
 from necc_casadi.model.model_file import Model, load_model
 from necc_casadi.model.spot_checks import check_model_at
 from necc_casadi.pipeline.advice import (
-    NOTED_LOSS,
-    SMALL_SHARE,
+    design_notes,
     model_notes,
     nearest_note,
+    region_notes,
+    response_notes,
     structure_offers,
 )
+from necc_casadi.pipeline.clock import Clock, Say
 from necc_casadi.pipeline.request import (
     Request,
     read_options,
@@ -36,6 +42,7 @@ from necc_casadi.pipeline.request import (
     read_target,
     with_structure,
 )
+from necc_casadi.pipeline.sweep import sweep_a
 from necc_casadi.report.figures import (
     lyapunov_figure,
     region_boundary,
@@ -45,9 +52,8 @@ from necc_casadi.report.figures import (
     write_figure,
 )
 from necc_casadi.report.findings import Findings, SweepPoint
-from necc_casadi.report.to_json import design_block
 from necc_casadi.simulation.convergence import simulated_share
-from necc_casadi.simulation.responses import random_states, simulate
+from necc_casadi.simulation.responses import Trajectory, random_states, simulate
 from necc_casadi.synthesis.options import Options
 from necc_casadi.synthesis.synthesis import design
 from necc_casadi.verdict.judge import judge
@@ -59,7 +65,8 @@ __all__ = ["run_design"]
 _RESPONSES = 10
 
 
-Say = Callable[[str], None]
+#: Seconds of computing that all responses together may take.
+_PATIENCE = 10.0
 
 
 def run_design(request: Request, say: Say) -> Findings:
@@ -70,8 +77,63 @@ def run_design(request: Request, say: Say) -> Findings:
     InputError
         For a model, a target, an option or a folder that cannot be used; before any training.
     """
-    began = time.perf_counter()
-    say("reading the model")
+    clock = Clock(say)
+    with clock.stage("symbolic", "reading the model"):
+        task = _judged(request, say)
+    found = Findings(
+        task.model.loop,
+        task.x_star,
+        task.casimirs,
+        task.verdict,
+        notes=task.notes,
+        timings=dict(clock.timings),
+    )
+    learning = task.options.learn_casimir and task.verdict.assignable is not False
+    if not (task.verdict.assignable or learning) or request.check:
+        return found
+    made = _designed(task, clock)
+    certificate = _certified(made, clock)
+    files = _saved(made, certificate, request.out)
+    motion = _simulated(made, clock)
+    export = _exported(request, made, certificate, clock)
+    sweep = () if request.sweep_a is None else _swept(request.sweep_a, task, clock)
+    drawn = _drawn(request, made, certificate, motion.responses, sweep, clock)
+    return replace(
+        found,
+        design=made,
+        certificate=certificate,
+        responses=motion.responses,
+        simulated_share=motion.share,
+        sampling=export.sampling,
+        sweep=sweep,
+        notes=(
+            *task.notes,
+            *design_notes(made, task.options),
+            *region_notes(certificate, task.options),
+            *response_notes(motion.responses, _PATIENCE),
+            *export.notes,
+        ),
+        files=tuple(
+            path.relative_to(request.out).as_posix() for path in (*files, *export.files, *drawn)
+        ),
+        timings=dict(clock.timings),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Task:
+    """A judged target, and what the design is asked for."""
+
+    model: Model
+    x_star: dict[sp.Symbol, sp.Expr]
+    casimirs: Casimirs
+    verdict: Verdict
+    options: Options
+    notes: tuple[str, ...]
+
+
+def _judged(request: Request, say: Say) -> _Task:
+    """Read the model, find its Casimirs, judge the target."""
     if not request.check:
         check_writable(request.out)
     model = load_model(request.model, read_parameters(request.param))
@@ -84,190 +146,138 @@ def run_design(request: Request, say: Say) -> Findings:
     casimirs = find_casimirs(model.loop, model.casimirs, x_star)
     say("judging the target")
     verdict = judge(model.loop, casimirs, x_star)
-    found = Findings(model.loop, x_star, casimirs, verdict, notes=model_notes(model, casimirs))
+    notes = model_notes(model, casimirs)
     if verdict.reason == "not_an_equilibrium":
-        found.notes += nearest_note(model, x_star)
+        notes += nearest_note(model, x_star)
     if request.structure is None and not (verdict.assignable and verdict.stability == "asymptotic"):
         say("searching for a controller structure that helps")
-        found.notes += structure_offers(model, x_star)
-    found.timings["symbolic"] = time.perf_counter() - began
-    learning = options.learn_casimir and verdict.assignable is not False
-    if (verdict.assignable or learning) and not request.check:
-        _Making(request, model, casimirs, verdict, options, found, say).everything()
-    return found
+        notes += structure_offers(model, x_star)
+    return _Task(model, x_star, casimirs, verdict, options, tuple(notes))
+
+
+def _trained(task: _Task, options: Options, say: Say) -> Design:
+    """One design at the target with these options."""
+    outcomes: list[Start] = []
+
+    def report(start: Start) -> None:
+        outcomes.append(start)
+        say(f"training: start {len(outcomes)} of {options.starts}, loss {start.loss:.1e}")
+
+    return design(task.model.loop, task.casimirs, task.verdict, task.x_star, options, report)
+
+
+def _designed(task: _Task, clock: Clock) -> Design:
+    """Train and damp."""
+    with clock.stage("design", "training"):
+        made = _trained(task, task.options, clock.say)
+    clock.timings["solve"] = sum(start.seconds for start in made.starts)
+    return made
+
+
+def _certified(made: Design, clock: Clock) -> Certificate:
+    """Prove what can be proved."""
+    with clock.stage("certify", "proving"):
+        return certify(made, report=lambda stage, _: clock.say(f"proving: {stage}"))
+
+
+def _saved(made: Design, certificate: Certificate, out: Path) -> list[Path]:
+    """Write the design and its certificate."""
+    return [
+        made.save(out / "design.json"),
+        write_text(out / "certificate.json", certificate.to_json()),
+    ]
 
 
 @dataclass(frozen=True, eq=False)
-class _Making:
-    """The stages after a favourable verdict; each adds to `found` and writes its files."""
+class _Motion:
+    """The design in time."""
 
-    request: Request
-    model: Model
-    casimirs: Casimirs
-    verdict: Verdict
-    options: Options
-    found: Findings
-    say: Say
+    responses: tuple[Trajectory, ...]  # from random states of the domain
+    share: float | None  # of such states from which it converges; None: not known
 
-    def everything(self) -> None:
-        """All stages, in order."""
-        made = self.design()
-        certificate = self.certify(made)
-        self.simulate(made)
-        self.export(made, certificate)
-        if self.request.sweep_a is not None:
-            self.sweep(self.request.sweep_a)
-        if self.request.plots:
-            self.draw(made)
 
-    @contextlib.contextmanager
-    def stage(self, name: str, text: str) -> Iterator[None]:
-        """Name a stage in the progress display and time it."""
-        self.say(text)
-        began = time.perf_counter()
-        yield
-        self.found.timings[name] = time.perf_counter() - began
+def _simulated(made: Design, clock: Clock) -> _Motion:
+    """Simulate, for no longer than somebody waits."""
+    with clock.stage("simulate", "simulating"):
+        ends = time.perf_counter() + _PATIENCE
+        responses = tuple(
+            simulate(made, x0, patience=max(0.0, ends - time.perf_counter()))
+            for x0 in random_states(made, _RESPONSES, made.seed)
+        )
+        return _Motion(responses, simulated_share(made, made.momenta, made.seed))
 
-    def train(self, options: Options) -> Design:
-        """One design at the target with these options."""
-        count = 0
 
-        def report(start: Any) -> None:
-            nonlocal count
-            count += 1
-            self.say(f"training: start {count} of {options.starts}, loss {start.loss:.1e}")
+@dataclass(frozen=True)
+class _Export:
+    """Code that was written, and the loop that it makes with the sample time asked for."""
 
-        return design(
-            self.model.loop, self.casimirs, self.verdict, self.found.x_star, options, report
+    files: tuple[Path, ...]
+    sampling: SampledLoop | None
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What to know about the sample time."""
+        warning = None if self.sampling is None else self.sampling.warning
+        return () if warning is None else (warning,)
+
+
+def _exported(request: Request, made: Design, certificate: Certificate, clock: Clock) -> _Export:
+    """Write the C controller and what was asked for around it; look at the sampled loop."""
+    from necc_casadi.export.c_project import export_c
+    from necc_casadi.export.fmu import export_fmu
+    from necc_casadi.export.matlab import export_mex
+    from necc_casadi.export.sampled_loop import analyse_sampling
+
+    out, time, integrator = request.out, request.sample_time, request.integrator
+    common: dict[str, Any] = {
+        "real": request.real,
+        "sample_time": time,
+        "integrator": integrator,
+        "certificate_hash": hashlib.sha256(certificate.to_json().encode()).hexdigest(),
+        "claims": [claim.statement for claim in certificate.claims if claim.holds],
+    }
+    with clock.stage("export", "writing the C controller"):
+        files = export_c(made, out / "c", **common)
+        if request.fmu:
+            name = re.sub(r"\W", "_", request.model.stem)
+            files.append(export_fmu(made, out / f"{name}.fmu", **common))
+        if request.mex:
+            files.append(export_mex(made, out / "matlab" / "necc_control.c"))
+    sampling = None if time is None else analyse_sampling(made, time, integrator)
+    return _Export(tuple(files), sampling)
+
+
+def _swept(values: tuple[float, float, int], task: _Task, clock: Clock) -> tuple[SweepPoint, ...]:
+    """Designs for a range of a, whether a network can reach it or not."""
+    with clock.stage("sweep", "sweeping a"):
+        return sweep_a(
+            values,
+            lambda a: _trained(task, replace(task.options, a=a, keep_a=True), clock.say),
+            clock.say,
         )
 
-    def design(self) -> Design:
-        """Train and damp."""
-        found = self.found
-        with self.stage("design", "training"):
-            made = found.design = self.train(self.options)
-        found.timings["solve"] = sum(s.seconds for s in made.starts)
-        if made.a < made.a_requested:
-            found.notes.append(
-                f"a = {made.a_requested:.4g} was asked for, but no network can exceed "
-                f"a_max = {self.verdict.a_max:.4g}: a = {made.a:.4g} is used"
-            )
-        best = min(made.starts, key=lambda s: s.loss)
-        if best.loss > NOTED_LOSS:
-            found.notes.append(f"IPOPT: {best.explained.meaning}. {best.explained.remedy}")
-        if self.options.shape != "none" and best.mode != "shaped":
-            found.notes.append(
-                f"--shape {self.options.shape} was not reached: V meets the conditions at z* only. "
-                "Try another --seed, more --starts or wider networks"
-            )
-        return made
 
-    def certify(self, made: Design) -> Certificate:
-        """Prove what can be proved; write design and certificate."""
-        with self.stage("certify", "proving"):
-            certificate = certify(made, report=lambda stage, _: self.say(f"proving: {stage}"))
-        self.found.certificate = certificate
-        self.found.notes += self.advice(certificate)
-        out = self.request.out
-        self.wrote(made.save(out / "design.json"))
-        self.wrote(write_text(out / "certificate.json", certificate.to_json()))
-        return certificate
-
-    def advice(self, certificate: Certificate) -> list[str]:
-        """How a small region on a grid may grow: V can be shaped for it."""
-        options, share = self.options, certificate.domain_share
-        plain = options.shape == "none" and not (options.convex or options.learn_casimir)
-        small = (
-            share is not None and share < SMALL_SHARE and isinstance(certificate.region, GridRegion)
-        )
-        if plain and small and options.phi == "sum":
-            return ["the proved region is small: --shape level shapes V for a larger one"]
+def _drawn(
+    request: Request,
+    made: Design,
+    certificate: Certificate,
+    responses: Sequence[Trajectory],
+    sweep: Sequence[SweepPoint],
+    clock: Clock,
+) -> list[Path]:
+    """Draw what there is to see."""
+    if not request.plots:
         return []
-
-    def simulate(self, made: Design) -> None:
-        """Responses from random states of the domain, and the share from which it converges."""
-        with self.stage("simulate", "simulating"):
-            states = random_states(made, _RESPONSES, made.seed)
-            self.found.responses = [simulate(made, x0) for x0 in states]
-            self.found.simulated_share = simulated_share(made, made.momenta, made.seed)
-
-    def export(self, made: Design, certificate: Certificate) -> None:
-        """The C controller, and what was asked for around it."""
-        from necc_casadi.export.c_project import export_c
-        from necc_casadi.export.fmu import export_fmu
-        from necc_casadi.export.matlab import export_mex
-
-        request, out = self.request, self.request.out
-        common: dict[str, Any] = {
-            "real": request.real,
-            "sample_time": request.sample_time,
-            "integrator": request.integrator,
-            "certificate_hash": hashlib.sha256(certificate.to_json().encode()).hexdigest(),
-            "claims": [claim.statement for claim in certificate.claims if claim.holds],
+    with clock.stage("figures", "drawing"):
+        figures = {
+            "lyapunov": lyapunov_figure(made),
+            "responses": responses_figure(made, responses),
         }
-        with self.stage("export", "writing the C controller"):
-            paths = export_c(made, out / "c", **common)
-            if request.fmu:
-                name = re.sub(r"\W", "_", request.model.stem)
-                paths.append(export_fmu(made, out / f"{name}.fmu", **common))
-            if request.mex:
-                paths.append(export_mex(made, out / "matlab" / "necc_control.c"))
-        for path in paths:
-            self.wrote(path)
-        if request.sample_time is not None:
-            self.sample(made, request.sample_time)
-
-    def sample(self, made: Design, sample_time: float) -> None:
-        """The sampled loop at the sample time that was asked for."""
-        from necc_casadi.export.sampled_loop import analyse_sampling
-
-        sampling = analyse_sampling(made, sample_time, self.request.integrator)
-        self.found.sampling = sampling
-        if sampling.warning is not None:
-            self.found.notes.append(sampling.warning)
-
-    def sweep(self, values: tuple[float, float, int]) -> None:
-        """One design for each value of a, in the same form, with what is proved about it."""
-        with self.stage("sweep", "sweeping a"):
-            self.found.sweep = [
-                self.swept(float(a), f"sweeping a: {index + 1} of {values[2]}")
-                for index, a in enumerate(np.linspace(*values))
-            ]
-
-    def swept(self, a: float, progress: str) -> SweepPoint:
-        """The design for one value of a, its certificate and its simulated share."""
-        self.say(progress)
-        made = self.train(replace(self.options, a=a, keep_a=True))
-        certificate = certify(made, report=lambda stage, _: self.say(f"{progress}, {stage}"))
-        block = design_block(made, certificate)
-        return SweepPoint(
-            a=a,
-            loss=block["loss"],
-            distance=block["distance"],
-            bound_paper=block["bound_paper"],
-            bound_rigorous=block["bound_rigorous"],
-            domain_share=certificate.domain_share,
-            simulated_share=simulated_share(made, made.momenta, made.seed),
-            limited_by=certificate.limited_by,
-        )
-
-    def draw(self, made: Design) -> None:
-        """The figures."""
-        found = self.found
-        with self.stage("figures", "drawing"):
-            figures = {
-                "lyapunov": lyapunov_figure(made),
-                "responses": responses_figure(made, found.responses),
-            }
-            level = found.certificate.level if found.certificate else None
-            if level is not None:
-                starts = region_boundary(made, level)
-                figures["region"] = region_figure(made, level, [simulate(made, s) for s in starts])
-            if found.sweep:
-                figures["sweep"] = sweep_figure(made, found.sweep)
-            for name, figure in figures.items():
-                self.wrote(write_figure(figure, self.request.out / "figures" / f"{name}.png"))
-
-    def wrote(self, path: Path) -> None:
-        """Remember a file, relative to OUT."""
-        self.found.files.append(path.relative_to(self.request.out).as_posix())
+        if certificate.level is not None:
+            starts = region_boundary(made, certificate.level)
+            inside = [simulate(made, start) for start in starts]
+            figures["region"] = region_figure(made, certificate.level, inside)
+        if sweep:
+            figures["sweep"] = sweep_figure(made, sweep)
+        folder = request.out / "figures"
+        return [write_figure(figure, folder / f"{name}.png") for name, figure in figures.items()]

@@ -36,6 +36,10 @@ _INK, _TARGET, _MINIMUM, _UNSETTLED = "#1f4e79", "#d9730d", "#2e7d32", "#a8324a"
 _MOST_PANELS = 10
 
 
+#: V − V(z̄) below this, in natural units, is rounding.
+_ROUNDING = 1e-14
+
+
 #: Where no proved share exceeds this, shares are drawn on a logarithmic axis.
 _SMALL_SHARE = 0.02
 
@@ -64,7 +68,8 @@ def lyapunov_figure(design: Design) -> Figure:
     figure.suptitle(f"{design.loop.plant.name}: Lyapunov function at ξ = ξ*")
     surface = figure.add_subplot(1, 2, 1, projection="3d")
     surface.plot_surface(A, B, values, cmap="viridis", linewidth=0, alpha=0.9, rcount=60, ccount=60)
-    surface.contour(A, B, values, levels=12, zdir="z", offset=float(values.min()), cmap="viridis")
+    bottom = float(np.nanmin(values, initial=0.0))
+    surface.contour(A, B, values, levels=12, zdir="z", offset=bottom, cmap="viridis")
     surface.set_xlabel(_label(design, i))
     surface.set_ylabel(_label(design, j))
     surface.set_zlabel("V − V(z̄)")
@@ -150,10 +155,12 @@ def _extent(design: Design) -> str:
 
 
 def _levels(values: Vector) -> Vector:
-    """Contour levels that are dense near the minimum."""
-    top = float(np.quantile(values, 0.98))
-    floor = min(0.0, float(values.min()))
-    return floor + (top - floor) * np.linspace(0.03, 1.0, 13) ** 2
+    """Contour levels that are dense near the minimum; V may be undefined in places."""
+    defined = values[np.isfinite(values)]
+    top = float(np.quantile(defined, 0.98)) if defined.size else 0.0
+    floor = float(np.min(defined, initial=0.0))
+    height = top - floor if top > floor else 1.0  # where V is flat nothing is drawn
+    return floor + height * np.linspace(0.03, 1.0, 13) ** 2
 
 
 def responses_figure(design: Design, trajectories: Sequence[Trajectory]) -> Figure:
@@ -175,7 +182,7 @@ def responses_figure(design: Design, trajectories: Sequence[Trajectory]) -> Figu
     for k, axis in enumerate(axes[:panels]):
         for response in trajectories:
             color = _INK if response.converged else _UNSETTLED
-            values = _panel(response, k, shown, inputs)
+            values = _panel(design, response, k, shown, inputs)
             axis.plot(response.t, values, lw=0.9, color=color, alpha=0.7)
         if k < len(names):
             axis.axhline(design.z_star[shown[k]], ls="--", lw=1, color=_TARGET)
@@ -210,16 +217,16 @@ def _telling_states(design: Design, trajectories: Sequence[Trajectory]) -> list[
     total = len(design.loop.states)
     if total <= _MOST_PANELS or not trajectories:
         return list(range(min(total, _MOST_PANELS)))
-    travel = np.max([np.ptp(response.z, axis=0) for response in trajectories], axis=0)
+    travel = np.max([np.ptp(r.z / design.sizes.state, axis=0) for r in trajectories], axis=0)
     return sorted(int(k) for k in np.argsort(-travel)[:_MOST_PANELS])
 
 
-def _panel(response: Trajectory, k: int, shown: list[int], inputs: int) -> Vector:
+def _panel(design: Design, response: Trajectory, k: int, shown: list[int], inputs: int) -> Vector:
     if k < len(shown):
         return response.z[:, shown[k]]
     if k < len(shown) + inputs:
         return response.u[:, k - len(shown)]
-    return np.maximum(response.V - response.V_bar, 1e-14)
+    return np.maximum(response.V - response.V_bar, _ROUNDING * design.sizes.energy)
 
 
 def _input_label(design: Design, index: int) -> str:

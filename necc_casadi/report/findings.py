@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import sympy as sp
 
@@ -11,7 +12,8 @@ from necc_casadi.casimirs.casimirs import Casimirs
 from necc_casadi.certificate.claims.certificate import Certificate
 from necc_casadi.certificate.claims.claim import Claim
 from necc_casadi.designs.design import Design
-from necc_casadi.designs.error_bound import loss
+from necc_casadi.designs.error_bound import natural_loss
+from necc_casadi.designs.measures import Measures, measure
 from necc_casadi.export.sampled_loop import SampledLoop
 from necc_casadi.model.closed_loop import ClosedLoop
 from necc_casadi.simulation.responses import Trajectory
@@ -20,53 +22,8 @@ from necc_casadi.verdict.verdict import Verdict
 __all__ = ["Findings", "SweepPoint", "attracts", "region_claim"]
 
 
-#: A design whose ε is above this fell short, whatever else is proved.
+#: A design whose ε, in natural units, is above this fell short, whatever else is proved.
 ACCEPTED_LOSS = 1e-6
-
-
-@dataclass
-class Findings:
-    """Everything one run has found so far; what was not reached is None."""
-
-    loop: ClosedLoop
-    x_star: Mapping[sp.Symbol, sp.Expr]
-    casimirs: Casimirs | None = None
-    verdict: Verdict | None = None
-    design: Design | None = None
-    certificate: Certificate | None = None
-    responses: Sequence[Trajectory] = ()
-    simulated_share: float | None = None  # of the domain, momenta at rest
-    sampling: SampledLoop | None = None
-    sweep: Sequence[SweepPoint] = ()
-    notes: list[str] = field(default_factory=list)
-    files: list[str] = field(default_factory=list)
-    timings: dict[str, float] = field(default_factory=dict)
-
-    @property
-    def status(self) -> str:
-        """The word for the outcome, see docs/contract.md#json."""
-        if self.verdict is not None and self.verdict.assignable is False:
-            return "refused"
-        if self.design is None:
-            known = self.verdict is not None and self.verdict.assignable
-            return "assignable" if known else "undecided"
-        certified = self.certificate is not None and self.certificate.certified
-        return "certified" if certified and loss(self.design) <= ACCEPTED_LOSS else "fell_short"
-
-    @property
-    def exit_code(self) -> int:
-        """The exit code for the outcome, see docs/contract.md#exit-codes."""
-        return {"certified": 0, "assignable": 0, "refused": 3}.get(self.status, 4)
-
-
-def region_claim(certificate: Certificate) -> Claim | None:
-    """The claim about the region, whose data are lower bounds of what it covers."""
-    return next((claim for claim in certificate.claims if claim.name == "region"), None)
-
-
-def attracts(region: Claim) -> bool:
-    """Whether a proved region is one of attraction; otherwise it is invariant, no more."""
-    return region.holds and region.data.get("follows") == "converges"
 
 
 @dataclass(frozen=True)
@@ -84,3 +41,57 @@ class SweepPoint:
     domain_share: float | None = None  # at least this much is proved; None: no region is
     simulated_share: float | None = None  # converges in simulation; None: not known
     limited_by: str | None = None  # what keeps the proved region from growing
+
+
+@dataclass(frozen=True, eq=False)
+class Findings:
+    """Everything that one run found; what was not reached is None."""
+
+    loop: ClosedLoop
+    x_star: Mapping[sp.Symbol, sp.Expr]
+    casimirs: Casimirs | None = None
+    verdict: Verdict | None = None
+    design: Design | None = None
+    certificate: Certificate | None = None
+    responses: Sequence[Trajectory] = ()
+    simulated_share: float | None = None  # of the domain, momenta at rest
+    sampling: SampledLoop | None = None
+    sweep: Sequence[SweepPoint] = ()
+    notes: tuple[str, ...] = ()
+    files: tuple[str, ...] = ()  # relative to the folder that was written
+    timings: Mapping[str, float] = field(default_factory=dict)  # s, by stage
+
+    @cached_property
+    def measures(self) -> Measures | None:
+        """What the design reached."""
+        return None if self.design is None else measure(self.design)
+
+    @property
+    def status(self) -> str:
+        """The word for the outcome, see docs/contract.md#json."""
+        if self.verdict is not None and self.verdict.assignable is False:
+            return "refused"
+        if self.design is None:
+            known = self.verdict is not None and self.verdict.assignable
+            return "assignable" if known else "undecided"
+        certified = self.certificate is not None and self.certificate.certified
+        return (
+            "certified"
+            if certified and natural_loss(self.design) <= ACCEPTED_LOSS
+            else "fell_short"
+        )
+
+    @property
+    def exit_code(self) -> int:
+        """The exit code for the outcome, see docs/contract.md#exit-codes."""
+        return {"certified": 0, "assignable": 0, "refused": 3}.get(self.status, 4)
+
+
+def region_claim(certificate: Certificate) -> Claim | None:
+    """The claim about the region, whose data are lower bounds of what it covers."""
+    return next((claim for claim in certificate.claims if claim.name == "region"), None)
+
+
+def attracts(region: Claim) -> bool:
+    """Whether a proved region is one of attraction; otherwise it is invariant, no more."""
+    return region.holds and region.data.get("follows") == "converges"

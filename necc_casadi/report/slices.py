@@ -16,7 +16,7 @@ from necc_casadi.designs.design import Design
 __all__ = [
     "Window",
     "domain_window",
-    "extent",
+    "ray_ends",
     "shadow",
     "slice_boundary",
     "slice_values",
@@ -62,17 +62,19 @@ def telling_pair(design: Design) -> tuple[int, int]:
     """The two plant states that a plot of V should show, in order.
 
     The state along which the design changed the plant's own energy most, and the stiffest of the
-    others; a momentum at rest only where there is nothing else.
+    others, in natural units; a momentum at rest only where there is nothing else.
     """
     n = design.loop.plant.n
     if n == 1:
         return 0, n
     import casadi as ca
 
-    stiffness = np.diag(np.asarray(design.lyapunov.hessian(design.z_bar), float))[:n]
+    natural = design.natural
+    scale = natural.sizes.state[:n] ** 2
+    stiffness = scale * np.diag(natural.lyapunov.hessian(natural.z_bar))[:n]
     x = ca.MX.sym("x", n)
-    own = ca.Function("own", [x], [ca.hessian(design.lyapunov.terms.H(x), x)[0]])
-    change = stiffness - np.diag(np.asarray(own(design.z_bar[:n]), float))
+    own = ca.Function("own", [x], [ca.hessian(natural.lyapunov.terms.H(x), x)[0]])
+    change = stiffness - scale * np.diag(np.asarray(own(natural.z_bar[:n]), float))
     first = int(np.argmax(np.abs(change)))
     resting = design.momenta
     others = sorted((i in resting, -stiffness[i], i) for i in range(n) if i != first)
@@ -88,13 +90,17 @@ def domain_window(design: Design) -> Window:
 
 
 def slice_values(design: Design, window: Window) -> tuple[Vector, Vector, Vector]:
-    """Grid over a window and V − V(z̄) there, the other states at z*; three arrays of one shape."""
+    """Grid over a window and V − V(z̄) there, the other states at z*; three arrays of one shape.
+
+    Where V is not a finite number it is nan.
+    """
     A, B = np.meshgrid(
         *(np.linspace(lo, hi, _GRID) for lo, hi in zip(window.lo, window.hi, strict=True))
     )
-    points = np.repeat(design.z_star[:, None], A.size, axis=1)
-    points[list(window.pair)] = A.ravel(), B.ravel()
-    values = np.asarray(design.lyapunov.V.map(A.size)(points), float).reshape(A.shape)
+    points = np.repeat(design.z_star[None, :], A.size, axis=0)
+    points[:, window.pair[0]], points[:, window.pair[1]] = A.ravel(), B.ravel()
+    values = design.lyapunov.V(points).reshape(A.shape)
+    values[~np.isfinite(values)] = np.nan
     return A, B, values - design.V(design.z_bar)
 
 
@@ -120,15 +126,33 @@ def shadow(design: Design, level: float, window: Window) -> Vector:
     """
     angle = np.linspace(0, 2 * np.pi, _RAYS, endpoint=False)
     circle = np.stack([np.cos(angle), np.sin(angle)])
-    return _followed(design, level, list(window.pair), circle, (window.lo, window.hi))
+    return ray_ends(design, level, list(window.pair), circle, (window.lo, window.hi))
 
 
-def extent(design: Design, level: float) -> Vector:
-    """Least and greatest value of each state on Ω, (n + nc, 2); computed like :func:`shadow`."""
-    lo, hi = design.domain.lo, design.domain.hi
-    both = np.array([[-1.0, 1.0]])
-    ends = [_followed(design, level, [k], both, (lo[[k]], hi[[k]]))[:, 0] for k in range(len(lo))]
-    return np.array(ends)
+def ray_ends(
+    design: Design, level: float, shown: list[int], directions: Vector, box: tuple[Vector, Vector]
+) -> Vector:
+    """Where rays from z̄ leave Ω in the states `shown`, whatever the others, (rays, shown).
+
+    Parameters
+    ----------
+    design
+        The design.
+    level
+        Ω = {V ≤ level}, near z̄.
+    shown
+        Indices of states in z.
+    directions
+        Of the rays, of length 1 in units in which V rises alike in all of them, (shown, rays).
+    box
+        Least and greatest values of these states, where rays end at the latest.
+    """
+    units, (lo, hi) = design.units, box
+    size = units.state[shown]
+    ends = _followed(
+        design.natural, level / units.energy, shown, directions, (lo / size, hi / size)
+    )
+    return ends * size
 
 
 def _followed(
@@ -152,7 +176,7 @@ def _followed(
         trial = points.copy()
         trial[shown] = start + (radius + step) * rays
         trial = _lowest(design, trial, rest)
-        values = np.asarray(design.lyapunov.V.map(count)(trial), float).ravel()
+        values = design.lyapunov.V(trial.T)
         seen = (trial[shown] >= lo) & (trial[shown] <= hi)
         moved: npt.NDArray[np.bool_] = moving & seen.all(0) & (values <= level)
         points[:, moved] = trial[:, moved]
@@ -172,7 +196,7 @@ def _followed(
 
 def _unit_rise(design: Design, shown: list[int], rest: list[int]) -> Vector:
     """T with min V over `rest` ≈ V(z̄) + ½|v|² at z̄ + Tv in the states `shown`."""
-    hessian = np.asarray(design.lyapunov.hessian(design.z_bar), float)
+    hessian = design.lyapunov.hessian(design.z_bar)
     coupling = hessian[np.ix_(rest, shown)]
     follow = np.linalg.solve(hessian[np.ix_(rest, rest)], coupling)
     reduced = hessian[np.ix_(shown, shown)] - coupling.T @ follow
@@ -182,19 +206,17 @@ def _unit_rise(design: Design, shown: list[int], rest: list[int]) -> Vector:
 def _lowest(design: Design, points: Vector, rest: list[int]) -> Vector:
     """Points (n + nc, B) moved down V along the states `rest`: Newton's method, never uphill."""
     V, count = design.lyapunov, points.shape[1]
-    values = np.asarray(V.V.map(count)(points), float).ravel()
+    values = V.V(points.T)
     for _ in range(_NEWTON if rest else 0):
-        g = np.asarray(V.gradient.map(count)(points), float)[rest].T
-        hessians = np.asarray(V.hessian.map(count)(points), float)
-        hessians = hessians.reshape(len(points), count, len(points)).transpose(1, 0, 2)
-        bends, axes = np.linalg.eigh(hessians[:, rest][:, :, rest])
+        g = V.gradient(points.T)[:, rest]
+        bends, axes = np.linalg.eigh(V.hessian(points.T)[:, rest][:, :, rest])
         bends = np.maximum(np.abs(bends), 1e-6)  # downhill where V is not convex, too
         move = -np.einsum("bij,bj->bi", axes, np.einsum("bji,bj->bi", axes, g) / bends)
         size = np.ones(count)
         for _ in range(_BACKTRACKS):
             trial = points.copy()
             trial[rest] += (size[:, None] * move).T
-            found = np.asarray(V.V.map(count)(trial), float).ravel()
+            found = V.V(trial.T)
             better = found < values
             points = np.where(better, trial, points)
             values = np.where(better, found, values)

@@ -2,65 +2,21 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any
-
-import numpy as np
-import sympy as sp
 
 from necc_casadi.casimirs.casimirs import Casimirs
 from necc_casadi.certificate.claims.certificate import Certificate
 from necc_casadi.designs.design import Design
-from necc_casadi.designs.error_bound import gradient_and_hessian, loss
+from necc_casadi.designs.measures import Measures
+from necc_casadi.designs.outcome import Start
+from necc_casadi.files import finite
 from necc_casadi.report.findings import Findings, region_claim
 from necc_casadi.simulation.responses import Trajectory
 from necc_casadi.symbolic.expressions import to_text
+from necc_casadi.symbolic.floats import to_float, to_floats
 from necc_casadi.verdict.verdict import Verdict
 
-__all__ = ["design_block", "to_json"]
-
-
-def design_block(design: Design, certificate: Certificate | None) -> dict[str, Any]:
-    """The ``design`` block of the JSON; ``bound_paper`` is ε/(a − ε) of eq. ErrorUpperBound."""
-    g, _ = gradient_and_hessian(design)
-    at_bar = np.asarray(design.lyapunov.hessian(design.z_bar), float)
-    epsilon = loss(design)
-    spectrum = np.linalg.eigvals(design.lyapunov.linearisation(design.z_bar))
-    return {
-        "xi_star": design.xi_star.tolist(),
-        "a": design.a,
-        "a_requested": design.a_requested,
-        "loss": epsilon,
-        "gradient_norm": float(np.linalg.norm(g)),
-        "hessian_min_eig": float(np.linalg.eigvalsh(at_bar)[0]),
-        "hessian_eigenvalues": np.linalg.eigvalsh(at_bar).tolist(),
-        "z_bar": design.z_bar.tolist(),
-        "distance": float(np.linalg.norm(design.z_bar - design.z_star)),
-        "bound_paper": epsilon / (design.a - epsilon) if design.a > epsilon else None,
-        "bound_rigorous": None if certificate is None else certificate.bound_rigorous,
-        "spectral_abscissa": float(spectrum.real.max()),
-        "spectrum": [
-            [float(v.real), float(v.imag)] for v in sorted(spectrum, key=lambda v: -v.real)
-        ],
-        "stability": None if certificate is None else certificate.stability,
-        "casimir_residual": None
-        if design.learned is None
-        else {"mean": design.learned.mean, "worst": design.learned.worst},
-        "D": design.D.tolist(),
-        "Dc": design.Dc.tolist(),
-        "seed": design.seed,
-        "starts": [
-            {
-                "seed": s.seed,
-                "form": s.mode,
-                "status": s.status,
-                "iterations": s.iterations,
-                "seconds": s.seconds,
-                "loss": s.loss,
-            }
-            for s in design.starts
-        ],
-    }
+__all__ = ["to_json"]
 
 
 def to_json(found: Findings) -> dict[str, Any]:
@@ -70,21 +26,62 @@ def to_json(found: Findings) -> dict[str, Any]:
         "status": found.status,
         "plant": {"states": list(loop.plant.states), "inputs": loop.plant.m},
         "controller": {"states": list(loop.controller.states)},
-        "target": {str(s): float(sp.N(found.x_star[s])) for s in loop.plant.x},
+        "target": {str(s): to_float(found.x_star[s]) for s in loop.plant.x},
         "verdict": None if verdict is None or casimirs is None else _verdict(verdict, casimirs),
-        "design": None if found.design is None else design_block(found.design, found.certificate),
+        "design": None
+        if found.design is None or found.measures is None
+        else _design(found.design, found.measures, found.certificate),
         "certificate": None
         if found.certificate is None
         else _certificate(found.certificate, found.simulated_share),
+        "sizes": None if found.design is None else found.design.named_sizes,
         "responses": [_response(r) for r in found.responses] or None,
         "sampling": None if found.sampling is None else vars(found.sampling),
         "sweep": [vars(p) for p in found.sweep] or None,
         "notes": found.notes,
         "files": found.files,
-        "timings": found.timings,
+        "timings": dict(found.timings),
     }
-    result: dict[str, Any] = _finite(data)
+    result: dict[str, Any] = finite(data)
     return result
+
+
+def _design(design: Design, measures: Measures, certificate: Certificate | None) -> dict[str, Any]:
+    curvatures, spectrum = measures.curvatures.tolist(), measures.spectrum.tolist()
+    return {
+        "xi_star": design.xi_star.tolist(),
+        "a": design.a,
+        "a_requested": design.a_requested,
+        "loss": measures.loss,
+        "gradient_norm": measures.gradient_norm,
+        "hessian_min_eig": curvatures[0],
+        "hessian_eigenvalues": curvatures,
+        "z_bar": design.z_bar.tolist(),
+        "distance": measures.distance,
+        "bound_paper": measures.bound_paper,
+        "bound_rigorous": None if certificate is None else certificate.bound_rigorous,
+        "spectral_abscissa": spectrum[0].real,
+        "spectrum": [[value.real, value.imag] for value in spectrum],
+        "stability": None if certificate is None else certificate.stability,
+        "casimir_residual": None
+        if design.learned is None
+        else {"mean": design.learned.mean, "worst": design.learned.worst},
+        "D": design.D.tolist(),
+        "Dc": design.Dc.tolist(),
+        "seed": design.seed,
+        "starts": [_start(start) for start in design.starts],
+    }
+
+
+def _start(start: Start) -> dict[str, Any]:
+    return {
+        "seed": start.seed,
+        "form": start.mode,
+        "status": start.status,
+        "iterations": start.iterations,
+        "seconds": start.seconds,
+        "loss": start.loss,
+    }
 
 
 def _verdict(verdict: Verdict, casimirs: Casimirs) -> dict[str, Any]:
@@ -99,8 +96,8 @@ def _verdict(verdict: Verdict, casimirs: Casimirs) -> dict[str, Any]:
         "casimir_count": len(casimirs.functions),
         "casimir_count_generic": casimirs.generic_count,
         "kernel_rank": casimirs.kernel_rank,
-        "lambda": None if verdict.lam is None else [float(sp.N(v)) for v in verdict.lam],
-        "invisible": [[float(sp.N(v)) for v in row] for row in verdict.invisible.tolist()],
+        "lambda": None if verdict.lam is None else to_floats(verdict.lam).tolist(),
+        "invisible": [to_floats(row).tolist() for row in verdict.invisible.tolist()],
     }
 
 
@@ -128,14 +125,3 @@ def _response(response: Trajectory) -> dict[str, Any]:
         "settling_time": response.settling_time,
         "peak_input": response.peak_input,
     }
-
-
-def _finite(value: Any) -> Any:
-    """Non-finite numbers become None, numpy scalars plain."""
-    if isinstance(value, dict):
-        return {k: _finite(v) for k, v in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_finite(v) for v in value]
-    if isinstance(value, (float, np.floating)):
-        return float(value) if math.isfinite(value) else None
-    return value

@@ -13,11 +13,12 @@ import sympy as sp
 from necc_casadi.casimirs.casimirs import Casimirs
 from necc_casadi.certificate.claims.certificate import Certificate
 from necc_casadi.designs.design import Design
+from necc_casadi.designs.measures import Measures
 from necc_casadi.designs.outcome import Residual
 from necc_casadi.export.sampled_loop import SampledLoop
 from necc_casadi.report.findings import Findings, attracts, region_claim
-from necc_casadi.report.to_json import design_block
 from necc_casadi.symbolic.expressions import to_text
+from necc_casadi.symbolic.floats import to_float
 from necc_casadi.verdict.verdict import Verdict
 
 __all__ = ["percent", "rounded_down", "summary"]
@@ -56,8 +57,9 @@ def summary(found: Findings, width: int = _WIDTH) -> str:
         rows.append(("Casimirs", _casimirs(casimirs)))
     if verdict is not None:
         rows.append(("verdict", _verdict_text(verdict)))
-    if found.design is not None:
-        rows += _design_rows(found.design, found.certificate)
+    if found.design is not None and found.measures is not None:
+        rows.append(("sizes", _sizes(found.design)))
+        rows += _design_rows(found.design, found.measures, found.certificate)
     if found.design is not None and found.design.learned is not None:
         rows.append(("learned", _learned(found.design.learned)))
     if found.responses:
@@ -115,11 +117,22 @@ def _target(found: Findings) -> str:
         if many and value == 0:
             continue
         unit = found.loop.plant.units.get(str(symbol), "")
-        decimal = "" if value.is_Integer else f" = {float(sp.N(value)):.6g}"
+        decimal = "" if value.is_Integer else f" = {to_float(value):.6g}"
         parts.append(_tied(f"{symbol} = {sp.sstr(value)}{decimal} {unit}".rstrip()))
     if many:
         return f"{', '.join(parts[:_MANY])}{', …' if len(parts) > _MANY else ''}; zeros not listed"
     return ", ".join(parts)
+
+
+def _sizes(design: Design) -> str:
+    """What a large value of each state and input is taken to be."""
+    units = design.loop.plant.units
+    parts = [
+        _tied(f"{name} {size:.2g} {units.get(name, '')}".rstrip())
+        for name, size in design.named_sizes.items()
+    ]
+    shown = parts if len(parts) <= _MANY else [*parts[: _MANY // 2], "…", parts[-1]]
+    return ", ".join(shown)
 
 
 def _casimirs(casimirs: Casimirs) -> str:
@@ -142,13 +155,15 @@ def _verdict_text(verdict: Verdict) -> str:
     return f"{verdict.reason}: {verdict.explanation}"
 
 
-def _design_rows(design: Design, certificate: Certificate | None) -> list[tuple[str, str]]:
-    block = design_block(design, certificate)
+def _design_rows(
+    design: Design, measures: Measures, certificate: Certificate | None
+) -> list[tuple[str, str]]:
     names = design.loop.controller.states
     xi = ", ".join(f"{n}* = {v:.6g}" for n, v in zip(names, design.xi_star, strict=True))
     best = min(design.starts, key=lambda s: s.loss)
     starts = f" in {len(design.starts)} starts" if len(design.starts) > 1 else ""
-    paper, rigorous = block["bound_paper"], block["bound_rigorous"]
+    paper = measures.bound_paper
+    rigorous = None if certificate is None else certificate.bound_rigorous
     bounds = (
         f"ε/(a − ε) = {paper:.2g}" if paper is not None else "ε/(a − ε) is no bound (ε ≥ a)"
     ) + (f", proved ≤ {rigorous:.2g}" if rigorous is not None else ", no proved bound")
@@ -157,16 +172,16 @@ def _design_rows(design: Design, certificate: Certificate | None) -> list[tuple[
     return [
         (
             "design",
-            f"{xi}; loss ε = {block['loss']:.2g} at a = {design.a:.4g}; IPOPT: "
+            f"{xi}; loss ε = {measures.loss:.2g} at a = {design.a:.4g}; IPOPT: "
             f"{best.explained.meaning}, {best.iterations} iterations, "
             f"{sum(s.seconds for s in design.starts):.3f} s{starts}",
         ),
-        ("minimum", f"z̄ = ({z_bar}); ‖z̄ − z*‖ = {block['distance']:.2g}; {bounds}"),
+        ("minimum", f"z̄ = ({z_bar}); ‖z̄ − z*‖ = {measures.distance:.2g}; {bounds}"),
         (
             "loop",
             f"D = {_matrix(design.D)}, Dc = {_matrix(design.Dc)}; spectral abscissa "
-            f"{block['spectral_abscissa']:.4g} 1/s; least eigenvalue of ∇²V(z̄) "
-            f"{block['hessian_min_eig']:.4g}",
+            f"{measures.spectrum[0].real:.4g} 1/s; least eigenvalue of ∇²V(z̄) "
+            f"{measures.curvatures[0]:.4g}",
         ),
     ]
 

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
@@ -14,7 +13,7 @@ from necc_casadi.designs.design import Design
 from necc_casadi.interrupts import interruptible
 from necc_casadi.simulation.responses import default_horizon
 
-__all__ = ["Arrivals", "converging", "simulated_share"]
+__all__ = ["Arrivals", "bogacki_shampine", "converging", "simulated_share"]
 
 
 #: Many starts at once: one that comes this close, as a share of its first distance, converges.
@@ -27,6 +26,10 @@ _LOST = 50.0
 
 #: Horizons that it may take: far from z̄ the linearisation says little about time.
 _PATIENCE = 4.0
+
+
+#: Errors are relative to a state's magnitude, or to this where it is smaller, in natural units.
+_SMALL_STATE = 0.01
 
 
 #: Steps per start at most, for up to so many states and fewer for more; the shortest step.
@@ -48,55 +51,74 @@ class Arrivals:
 def converging(design: Design, starts: npt.ArrayLike, *, tolerance: float = 1e-4) -> Arrivals:
     """Whether the loop comes near z̄ within some default horizons, from states (B, n + nc).
 
-    A pair of orders 3 and 2 on all states at once, each with its own step.
+    All states at once, each with its own step; distances and errors in natural units.
+    """
+    units, design = design.units, design.natural
+    horizon, z_bar = _PATIENCE * default_horizon(design), design.z_bar
+    z, size = np.array(starts, float) / units.state, design.sizes.state
+    lost = _LOST * float(np.linalg.norm((design.domain.hi - design.domain.lo) / size))
+    near = _ARRIVED * np.linalg.norm((z - z_bar) / size, axis=1)
+    arrived = near == 0
+    alive = np.flatnonzero(~arrived)
+    t, h = np.zeros(len(z)), np.full(len(z), horizon / 1000)
+    field = design.lyapunov.vector_field
+    slope = field(z)
+    for _ in range(_MOST_STEPS * _FEW_STATES // max(_FEW_STATES, z.shape[1])):
+        if alive.size == 0:
+            break
+        with interruptible(), np.errstate(all="ignore"):
+            step, start = np.minimum(h[alive], horizon - t[alive]), z[alive]
+            end, end_slope, difference = bogacki_shampine(field, start, slope[alive], step)
+            scale = tolerance * (_SMALL_STATE + np.fmax(np.abs(start), np.abs(end)))
+            error = np.abs(difference / scale).max(axis=1)
+            good = error <= 1
+            moved = alive[good]
+            z[moved], slope[moved] = end[good], end_slope[good]
+            t[moved] += step[good]
+            growth = np.clip(0.9 * np.fmax(error, 1e-9) ** (-1 / 3), 0.2, 5.0)
+            h[alive] = step * np.where(np.isfinite(error), growth, 0.2)
+            distance = np.linalg.norm((z[alive] - z_bar) / size, axis=1)
+        arrived[alive] = distance <= near[alive]
+        short = (h[alive] < _LEAST_STEP * horizon) & ~good
+        going = (distance < lost) & (t[alive] < horizon * (1 - 1e-9)) & ~short
+        alive = alive[going & ~arrived[alive]]
+    unfinished = np.zeros(len(z), dtype=bool)
+    unfinished[alive] = True
+    return Arrivals(arrived, unfinished)
+
+
+def bogacki_shampine(
+    field: Callable[[Vector], Vector], z: Vector, slope: Vector, h: Vector
+) -> tuple[Vector, Vector, Vector]:
+    """One explicit Runge–Kutta step of order 3 with an embedded one of order 2.
+
+    Its last slope is the first one of the next step, so that a step costs three evaluations.
+
+    Parameters
+    ----------
+    field
+        States (B, N) -> ż (B, N).
+    z, slope
+        States at the start and ż there, (B, N).
+    h
+        Length of the step of each state, (B,).
+
+    Returns
+    -------
+    end, slope, difference
+        States after the step and ż there, and the solution of order 3 less that of order 2, an
+        estimate of the error; (B, N) each.
 
     References
     ----------
     Bogacki and Shampine (1989).
     """
-    horizon, z_bar = _PATIENCE * default_horizon(design), design.z_bar[:, None]
-    z = np.array(starts, float).T
-    lo, hi = design.domain.lo, design.domain.hi
-    lost = _LOST * float(np.linalg.norm(hi - lo))
-    near = _ARRIVED * np.linalg.norm(z - z_bar, axis=0)
-    arrived = near == 0
-    alive = np.flatnonzero(~arrived)
-    t, h = np.zeros(z.shape[1]), np.full(z.shape[1], horizon / 1000)
-    field = design.lyapunov.vector_field
-    slope = np.array(field(z), float)
-    for _ in range(_MOST_STEPS * _FEW_STATES // max(_FEW_STATES, len(z))):
-        if alive.size == 0:
-            break
-        with interruptible(), np.errstate(all="ignore"):
-            step, start = np.minimum(h[alive], horizon - t[alive]), z[:, alive]
-            end, end_slope, error = _step(field, start, slope[:, alive], step, tolerance)
-            good = error <= 1
-            moved = alive[good]
-            z[:, moved], slope[:, moved] = end[:, good], end_slope[:, good]
-            t[moved] += step[good]
-            growth = np.clip(0.9 * np.fmax(error, 1e-9) ** (-1 / 3), 0.2, 5.0)
-            h[alive] = step * np.where(np.isfinite(error), growth, 0.2)
-            distance = np.linalg.norm(z[:, alive] - z_bar, axis=0)
-        arrived[alive] = distance <= near[alive]
-        short = (h[alive] < _LEAST_STEP * horizon) & ~good
-        going = (distance < lost) & (t[alive] < horizon * (1 - 1e-9)) & ~short
-        alive = alive[going & ~arrived[alive]]
-    unfinished = np.zeros(z.shape[1], dtype=bool)
-    unfinished[alive] = True
-    return Arrivals(arrived, unfinished)
-
-
-def _step(
-    field: ca.Function, z: Vector, k1: Vector, h: Vector, tolerance: float
-) -> tuple[Vector, Vector, Vector]:
-    """(z, ż) after one step, and its error against the tolerance."""
-    k2 = np.array(field(z + 0.5 * h * k1), float)
-    k3 = np.array(field(z + 0.75 * h * k2), float)
+    h, k1 = h[:, None], slope
+    k2 = field(z + h * k1 / 2)
+    k3 = field(z + 3 * h * k2 / 4)
     end = z + h * (2 * k1 + 3 * k2 + 4 * k3) / 9
-    k4 = np.array(field(end), float)
-    difference = h * (-5 * k1 / 72 + k2 / 12 + k3 / 9 - k4 / 8)
-    scale = tolerance * (0.01 + np.fmax(np.abs(z), np.abs(end)))
-    return end, k4, np.asarray(np.abs(difference / scale).max(axis=0))
+    k4 = field(end)
+    return end, k4, h * (-5 * k1 / 72 + k2 / 12 + k3 / 9 - k4 / 8)
 
 
 def simulated_share(design: Design, resting: Sequence[int], seed: int = 0) -> float | None:

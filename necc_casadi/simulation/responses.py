@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time as clock
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -25,11 +26,20 @@ SETTLED = 0.02
 _DECAYS = 1e-4
 
 
+#: Horizon of a loop of which no mode decays, in natural times.
+_NOTHING_DECAYS = 30.0
+
+
 #: Periods of the fastest oscillation that a response spans at most.
 _MOST_PERIODS = 1000
 
 
+#: Error that a step allows, in natural units.
 _RELATIVE, _ABSOLUTE = 1e-9, 1e-11
+
+
+#: A response is integrated in so many pieces, each with so many steps between two outputs at most.
+_PIECES, _MOST_STEPS = 20, 10_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,15 +67,20 @@ class Trajectory:
     z_bar: Vector  # (n + nc,) where it should go
     V_bar: float  # V(z̄)
     complete: bool  # False: the integrator gave up, the arrays end there
+    size: Vector | float = 1.0  # (n + nc,) natural sizes, for distances
+    cut: bool = False  # the time for computing was over
 
     @property
     def settling_time(self) -> float:
-        """Time after which ‖z − z̄‖ stays within 2 % of its initial value, s; inf if never."""
-        away = self.z - self.z_bar
+        """Time after which ‖z − z̄‖ stays within 2 % of its initial value, s; inf if never.
+
+        The norm is that of natural units.
+        """
+        away = (self.z - self.z_bar) / self.size
         if not np.all(np.isfinite(away)):
             return float("inf")
-        size = float(np.abs(away).max()) or 1.0  # so that squares of huge states do not overflow
-        distance = np.linalg.norm(away / size, axis=1)
+        largest = float(np.abs(away).max()) or 1.0  # so that squares do not overflow
+        distance = np.linalg.norm(away / largest, axis=1)
         outside = np.flatnonzero(distance > SETTLED * distance[0])
         if outside.size == 0:
             return 0.0
@@ -98,10 +113,10 @@ def default_horizon(design: Design) -> float:
     No more than so many periods of the fastest oscillation: a lossless line with many states
     takes longer to settle than anyone wants to integrate with error control.
     """
-    spectrum = np.linalg.eigvals(design.lyapunov.linearisation(design.z_bar))
+    spectrum = design.spectrum
     fastest = float(np.abs(spectrum).max())
     decaying = [-v.real for v in spectrum if -v.real > _DECAYS * fastest]
-    settled = 8.0 / min(decaying) if decaying else 30.0
+    settled = 8.0 / min(decaying) if decaying else _NOTHING_DECAYS * design.units.time
     oscillation = float(np.abs(spectrum.imag).max())
     return min(settled, _MOST_PERIODS * 2 * np.pi / oscillation) if oscillation else settled
 
@@ -123,6 +138,7 @@ def simulate(
     *,
     time: float | None = None,
     points: int = 501,
+    patience: float = np.inf,
 ) -> Trajectory:
     """Integrate the damped closed loop from (x0, ξ0).
 
@@ -138,6 +154,8 @@ def simulate(
         Horizon, s; by default long enough for the slowest mode.
     points
         Number of output times.
+    patience
+        Seconds of computing after which the response is cut; some stiff loops take very long.
 
     Returns
     -------
@@ -159,42 +177,59 @@ def simulate(
     >>> bool(abs(response.z[-1] - made.z_bar).max() < 1e-2)
     True
     """
-    V = design.lyapunov
+    natural, units = design.natural, design.units
+    V = natural.lyapunov
     xi = design.xi_star if xi0 is None else np.asarray(xi0, float)
-    z0 = np.concatenate([np.asarray(x0, float), xi])
-    grid = np.linspace(0.0, default_horizon(design) if time is None else float(time), points)
-    integrator = _integrator(design, float(grid[-1]), points)
-    try:
-        with interruptible():
-            states = np.column_stack([z0, np.asarray(integrator(x0=z0)["xf"], float)]).T
-        complete = bool(np.all(np.isfinite(states)))
-    except RuntimeError:  # the integrator's way to say that it cannot go on
-        states, complete = z0[None, :], False
+    z0 = np.concatenate([np.asarray(x0, float), xi]) / units.state
+    horizon = default_horizon(design) if time is None else float(time)
+    grid = np.linspace(0.0, horizon, points)
+    states, cut = _integrated(natural, z0, grid / units.time, patience)
     n, count = V.terms.n, len(states)
-    inputs, _ = V.control_law.map(count).call([states[:, :n].T, states[:, n:].T])
-    values = V.V.map(count)(states.T)
+    inputs, _ = V.control_law(states[:, :n], states[:, n:])
     return Trajectory(
-        t=grid[: len(states)],
-        z=states,
-        u=np.asarray(inputs, float).reshape(V.terms.m, count).T,
-        V=np.asarray(values, float).ravel(),
+        t=grid[:count],
+        z=states * units.state,
+        u=inputs * units.input,
+        V=V.V(states) * units.energy,
         z_bar=design.z_bar,
-        V_bar=design.V(design.z_bar),
-        complete=complete,
+        V_bar=natural.V(natural.z_bar) * units.energy,
+        complete=count == points and bool(np.all(np.isfinite(states))),
+        size=design.sizes.state,
+        cut=cut,
     )
 
 
-@lru_cache(maxsize=4)
-def _integrator(design: Design, horizon: float, points: int) -> ca.Function:
-    """CVODES from z0 over `points` equidistant times; kept, because building it takes longer."""
+def _integrated(design: Design, z0: Vector, grid: Vector, patience: float) -> tuple[Vector, bool]:
+    """States at the times of an equidistant grid, as far as they were reached; whether cut."""
+    began, found = clock.monotonic(), [z0[None, :]]
+    count = -(-(len(grid) - 1) // _PIECES)  # outputs of one piece
+    try:
+        with interruptible():
+            for done in range(0, len(grid) - 1, count):
+                if clock.monotonic() - began > patience:
+                    return np.concatenate(found), True
+                few = min(count, len(grid) - 1 - done)
+                integrator = _integrator(design, float(grid[1]), few)
+                ends = np.asarray(integrator(x0=found[-1][-1])["xf"], float).T
+                found.append(ends)
+                if not np.all(np.isfinite(ends)):
+                    break
+    except RuntimeError:  # the integrator's way to say that it cannot go on
+        pass
+    return np.concatenate(found), False
+
+
+@lru_cache(maxsize=8)
+def _integrator(design: Design, step: float, count: int) -> ca.Function:
+    """CVODES from z0 over `count` equidistant times; kept, because building it takes longer."""
     z = ca.MX.sym("z", len(design.loop.z))
     options = {
         "abstol": _ABSOLUTE,
         "reltol": _RELATIVE,
-        "max_num_steps": 100_000,
+        "max_num_steps": _MOST_STEPS,
         "show_eval_warnings": False,
         "disable_internal_warnings": True,
     }
-    field = {"x": z, "ode": design.lyapunov.vector_field(z)}
-    grid = np.linspace(0.0, horizon, points)[1:].tolist()
+    field = {"x": z, "ode": design.lyapunov.vector_field_function(z)}
+    grid = (step * np.arange(1, count + 1)).tolist()
     return ca.integrator("response", "cvodes", field, 0.0, grid, options)

@@ -1,4 +1,9 @@
-"""Closed expressions and matrices in ball arithmetic."""
+"""Closed expressions and matrices in ball arithmetic.
+
+References
+----------
+Johansson (2017).
+"""
 
 from __future__ import annotations
 
@@ -7,6 +12,8 @@ from collections.abc import Callable, Iterable
 
 import flint
 import sympy as sp
+
+from necc_casadi.symbolic.fold import Algebra, fold
 
 __all__ = ["ball", "real_rank"]
 
@@ -40,44 +47,22 @@ def real_rank(matrix: sp.Matrix, symbols: Iterable[sp.Symbol], wanted: int, trie
 
 def ball(expr: sp.Expr, known: dict[sp.Expr, flint.arb]) -> flint.arb:
     """An Arb ball that contains the value of `expr`; `known` holds the symbols and the cache."""
-    if expr not in known:
-        known[expr] = _ball(sp.sympify(expr), known)
-    return known[expr]
+    return fold(expr, _BALLS, known)
 
 
-_ARB: dict[type[sp.Expr], Callable[[flint.arb], flint.arb]] = {
-    sp.sin: flint.arb.sin, sp.cos: flint.arb.cos, sp.tan: flint.arb.tan,
-    sp.asin: flint.arb.asin, sp.acos: flint.arb.acos, sp.atan: flint.arb.atan,
-    sp.sinh: flint.arb.sinh, sp.cosh: flint.arb.cosh, sp.tanh: flint.arb.tanh,
-    sp.asinh: flint.arb.asinh, sp.acosh: flint.arb.acosh, sp.atanh: flint.arb.atanh,
-    sp.exp: flint.arb.exp, sp.log: flint.arb.log,
-}  # fmt: skip
-
-
-def _ball(expr: sp.Expr, known: dict[sp.Expr, flint.arb]) -> flint.arb:
+def _number(expr: sp.Expr) -> flint.arb | None:
     if isinstance(expr, sp.Rational):
         return flint.arb(flint.fmpq(int(expr.p), int(expr.q)))
     if expr is sp.pi:
         return flint.arb.pi()
-    if expr is sp.E:
-        return flint.arb(1).exp()
-    if type(expr) in _ARB:
-        return _ARB[type(expr)](ball(expr.args[0], known))
-    if expr.is_Pow:
-        base = ball(expr.args[0], known)
-        exponent = expr.args[1]
-        if exponent.is_Integer:
-            return base ** int(exponent)
-        if exponent == sp.Rational(1, 2):
-            return base.sqrt()
-        return base ** ball(exponent, known)
-    if expr.is_Add or expr.is_Mul:
-        parts = [ball(a, known) for a in expr.args]
-        total = parts[0]
-        for part in parts[1:]:
-            total = total + part if expr.is_Add else total * part
-        return total
-    return _measured(expr)
+    return flint.arb(1).exp() if expr is sp.E else None
+
+
+def _power(expr: sp.Pow, walk: Callable[[sp.Expr], flint.arb]) -> flint.arb:
+    base, exponent = walk(expr.base), expr.exp
+    if exponent.is_Integer:
+        return base ** int(exponent)
+    return base.sqrt() if exponent == sp.Rational(1, 2) else base ** walk(exponent)
 
 
 def _measured(expr: sp.Expr) -> flint.arb:
@@ -88,6 +73,20 @@ def _measured(expr: sp.Expr) -> flint.arb:
     if not (value.is_Float or value.is_Rational):
         return flint.arb("nan")
     return flint.arb(flint.arb(str(value)).mid(), abs(flint.arb(str(value))) * 10 ** (5 - _DIGITS))
+
+
+_BALLS: Algebra[flint.arb] = Algebra(
+    {
+        "sin": flint.arb.sin, "cos": flint.arb.cos, "tan": flint.arb.tan,
+        "asin": flint.arb.asin, "acos": flint.arb.acos, "atan": flint.arb.atan,
+        "sinh": flint.arb.sinh, "cosh": flint.arb.cosh, "tanh": flint.arb.tanh,
+        "asinh": flint.arb.asinh, "acosh": flint.arb.acosh, "atanh": flint.arb.atanh,
+        "exp": flint.arb.exp, "log": flint.arb.log,
+    },
+    number=_number,
+    power=_power,
+    other=_measured,
+)  # fmt: skip
 
 
 def _pivoted(table: list[list[flint.arb]]) -> int:

@@ -1,8 +1,12 @@
-"""Definiteness of constant matrices, exactly."""
+"""Definiteness of constant matrices, exactly.
+
+Floating point proposes a direction; exact arithmetic or Arb balls decide.
+"""
 
 from __future__ import annotations
 
 from fractions import Fraction
+from typing import Final, Literal
 
 import flint
 import numpy as np
@@ -10,20 +14,33 @@ import sympy as sp
 
 from necc_casadi.arrays import Vector
 from necc_casadi.symbolic.arb import ball
+from necc_casadi.symbolic.floats import float_matrix
 from necc_casadi.symbolic.linear_algebra import kernel
 from necc_casadi.symbolic.semidefinite import blocks, is_positive_semidefinite
 from necc_casadi.symbolic.zero import sign
 
-__all__ = ["definiteness", "rational", "to_float"]
+__all__ = ["UNDECIDED", "Definiteness", "definiteness", "rational"]
 
 
-def definiteness(matrix: sp.Matrix) -> tuple[str, sp.ImmutableMatrix | None]:
-    """Kind of a constant symmetric matrix, and a direction that shows it.
+UNDECIDED: Final = "undecided"
 
-    ``positive`` (definite), ``flat`` (⪰ 0, singular; a kernel vector), ``negative`` (indefinite
-    or worse; a vector w with wᵀQw < 0) or ``undecided``.
+
+#: ``positive`` (definite), ``flat`` (⪰ 0 and singular), ``negative`` (indefinite or worse).
+Definiteness = Literal["positive", "flat", "negative", "undecided"]
+
+
+_CLOSE = 1e-9  # an eigenvalue this small beside the largest may be zero
+
+
+_WORST_FIRST: tuple[Definiteness, ...] = ("negative", UNDECIDED, "flat", "positive")
+
+
+def definiteness(matrix: sp.Matrix) -> tuple[Definiteness, sp.ImmutableMatrix | None]:
+    """Kind of a constant symmetric matrix Q, and a direction that shows it.
+
+    For ``flat`` that is a vector of the kernel, for ``negative`` a w with wᵀQw < 0.
     """
-    results: list[tuple[str, sp.ImmutableMatrix | None]] = []
+    results: list[tuple[Definiteness, sp.ImmutableMatrix | None]] = []
     for block in blocks(matrix):
         kind, part = _block_definiteness(matrix.extract(block, block))
         vector = None
@@ -33,31 +50,29 @@ def definiteness(matrix: sp.Matrix) -> tuple[str, sp.ImmutableMatrix | None]:
                 full[i] = part[k]
             vector = sp.ImmutableMatrix(full)
         results.append((kind, vector))
-    for kind in ("negative", "undecided", "flat"):
-        for result in results:
-            if result[0] == kind:
-                return result
-    return "positive", None
+    return min(
+        results, key=lambda result: _WORST_FIRST.index(result[0]), default=("positive", None)
+    )
 
 
-def _block_definiteness(block: sp.Matrix) -> tuple[str, sp.Matrix | None]:
+def _block_definiteness(block: sp.Matrix) -> tuple[Definiteness, sp.Matrix | None]:
     for i in range(block.rows):
         if sign(block[i, i]) == -1:
             return "negative", sp.Matrix([int(k == i) for k in range(block.rows)])
     if _balls_positive(block):
         return "positive", None
-    numeric = to_float(block)
+    numeric = float_matrix(block)
     if not np.all(np.isfinite(numeric)):
-        return "undecided", None
+        return UNDECIDED, None
     eigenvalues, vectors = np.linalg.eigh(numeric)
-    scale = max(1.0, float(np.abs(eigenvalues).max()))
-    if eigenvalues[0] < -1e-9 * scale:
+    close = _CLOSE * float(np.abs(eigenvalues).max())
+    if eigenvalues[0] < -close:
         vector = _rational_vector(vectors[:, 0])
         if sign((vector.T * block * vector)[0]) == -1:
             return "negative", vector
-    if eigenvalues[0] < 1e-9 * scale:
+    if eigenvalues[0] <= close:
         return _semidefinite(block)
-    return "undecided", None
+    return UNDECIDED, None
 
 
 def _rational_vector(vector: Vector) -> sp.Matrix:
@@ -91,19 +106,10 @@ def _balls_positive(block: sp.Matrix) -> bool:
     return True
 
 
-def _semidefinite(block: sp.Matrix) -> tuple[str, sp.Matrix | None]:
+def _semidefinite(block: sp.Matrix) -> tuple[Definiteness, sp.Matrix | None]:
     """Exact symmetric elimination of a block whose least eigenvalue is close to zero."""
     null = kernel(block)
     if null.cols == 0:
-        return "undecided", None
+        return UNDECIDED, None
     verdict = is_positive_semidefinite(block)
-    return ("flat", null[:, 0]) if verdict is True else ("undecided", None)
-
-
-def to_float(matrix: sp.MatrixBase) -> Vector:
-    """A constant matrix in floating point; NaN where an entry is not finite."""
-    result = np.zeros(matrix.shape)
-    for (i, j), entry in matrix.todok().items():
-        value = sp.N(entry, 17)
-        result[i, j] = float(value) if value.is_real and value.is_finite else np.nan
-    return result
+    return ("flat", null[:, 0]) if verdict is True else (UNDECIDED, None)

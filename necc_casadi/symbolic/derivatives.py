@@ -1,4 +1,4 @@
-"""Gradients and Hessians of expressions."""
+"""Gradients and Hessians of expressions, and their values at a point."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import sympy as sp
 
-__all__ = ["at", "column", "gradient", "sparse_hessian"]
+__all__ = ["at", "column", "gradient", "sparse_hessian", "value_at"]
 
 
 def gradient(f: sp.Expr, variables: Sequence[sp.Symbol]) -> sp.ImmutableMatrix:
@@ -37,8 +37,11 @@ def column(entries: Sequence[sp.Expr]) -> sp.ImmutableMatrix:
 
 def at(matrix: sp.MatrixBase, point: Mapping[sp.Symbol, sp.Expr]) -> sp.ImmutableMatrix:
     """`matrix` at exact values of some symbols."""
-    entries = {}
-    for place, entry in matrix.todok().items():
-        known = {s: point[s] for s in entry.free_symbols if s in point}
-        entries[place] = entry.subs(known) if known else entry
+    entries = {place: value_at(entry, point) for place, entry in matrix.todok().items()}
     return sp.ImmutableMatrix(sp.SparseMatrix(*matrix.shape, entries))
+
+
+def value_at(expr: sp.Expr, point: Mapping[sp.Symbol, sp.Expr]) -> sp.Expr:
+    """`expr` at exact values of some symbols; costs nothing where none of them occurs."""
+    known = {s: point[s] for s in expr.free_symbols if s in point}
+    return expr.subs(known) if known else expr

@@ -15,6 +15,7 @@ from collections.abc import Callable, Mapping
 import sympy as sp
 
 from necc_casadi.errors import InputError
+from necc_casadi.symbolic.floats import to_float
 
 __all__ = [
     "CONSTANTS",
@@ -217,7 +218,7 @@ def parse_number(text: str, what: str, code: str, error: type[InputError]) -> sp
 
 def _fits_double(value: sp.Expr) -> bool:
     try:
-        return math.isfinite(float(sp.N(value, 20)))
+        return math.isfinite(to_float(value))
     except (ArithmeticError, TypeError, ValueError):
         return False
 

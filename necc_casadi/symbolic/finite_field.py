@@ -4,8 +4,12 @@ A rational function that vanishes identically vanishes at every point of GF(p), 
 there bounds the generic rank from below, and a relation sought there cannot be missed. Functions
 are specialised so that their own identities survive: (cos, sin) is a point of the unit circle,
 exp of a sum is a product, log of a product is a sum, a^(1/2) is the one square root that is a
-square itself. Answers are candidates: whoever uses one proves it (`exact.is_zero`, or Arb
-balls at a real point, :func:`real_rank`).
+square itself. Answers are candidates: whoever uses one proves it (`zero.is_zero`, or Arb balls
+at a real point, `arb.real_rank`).
+
+References
+----------
+Schwartz (1980).
 """
 
 from __future__ import annotations

@@ -1,4 +1,8 @@
-"""Observability of a pair of exact matrices, decided by certain ranks."""
+"""Observability of the pair (JP, BᵀP) of exact constant matrices J, B, P.
+
+Over GF(p) the unobservable motions are found; for real matrices with irrational entries Arb balls
+confirm that there are none.
+"""
 
 from __future__ import annotations
 
@@ -9,11 +13,22 @@ import sympy as sp
 from necc_casadi.symbolic.arb import ball
 from necc_casadi.symbolic.finite_field import Residues, values
 
-__all__ = ["as_balls", "certain_rank", "observability_matrix", "residues"]
+__all__ = ["is_observable", "observability_matrix"]
 
 
-def observability_matrix(A: flint.nmod_mat, output: flint.nmod_mat, prime: int) -> Residues:
-    """Independent rows that span those of output·Aᵏ, k = 0, 1, …."""
+_BITS = 1000
+
+
+def observability_matrix(J: sp.Matrix, B: sp.Matrix, P: sp.Matrix, prime: int) -> Residues:
+    """Independent rows over GF(prime) that span those of BᵀP(JP)ᵏ, k = 0, 1, …; rank × n.
+
+    Raises
+    ------
+    NoFiniteFieldValue
+        Where an irrational entry does not exist modulo `prime`.
+    """
+    interconnection, ports, hessian = (_residues(matrix, prime) for matrix in (J, B, P))
+    A, output = interconnection * hessian, ports.transpose() * hessian
     span, size = _reduced(output, prime)
     while True:
         joined = span.tolist() + (span * A).tolist()
@@ -25,13 +40,34 @@ def observability_matrix(A: flint.nmod_mat, output: flint.nmod_mat, prime: int) 
         span, size = larger, rank
 
 
-def as_balls(matrix: sp.Matrix) -> flint.arb_mat:
-    """The matrix in ball arithmetic."""
+def _residues(matrix: sp.Matrix, prime: int) -> flint.nmod_mat:
+    table = values(list(matrix), 1, prime=prime)[0]
+    return flint.nmod_mat(matrix.rows, matrix.cols, [int(v) for v in table], prime)
+
+
+def is_observable(J: sp.Matrix, B: sp.Matrix, P: sp.Matrix) -> bool:
+    """Whether the real pair is proved to be observable, where it is over GF(p).
+
+    For rational entries full rank over GF(p) is a proof. For others GF(p) may miss a relation
+    between constants, so that Arb balls have to find n certain pivots.
+    """
+    if all(e.is_Rational for matrix in (J, B, P) for e in matrix.todok().values()):
+        return True
+    previous, flint.ctx.prec = flint.ctx.prec, _BITS
+    try:
+        interconnection, ports, hessian = (_as_balls(matrix) for matrix in (J, B, P))
+        rank = _certain_rank(interconnection * hessian, ports.transpose() * hessian)
+        return rank == J.rows
+    finally:
+        flint.ctx.prec = previous
+
+
+def _as_balls(matrix: sp.Matrix) -> flint.arb_mat:
     known: dict[sp.Expr, flint.arb] = {}
     return flint.arb_mat(matrix.rows, matrix.cols, [ball(e, known) for e in matrix])
 
 
-def certain_rank(A: flint.arb_mat, output: flint.arb_mat) -> int:
+def _certain_rank(A: flint.arb_mat, output: flint.arb_mat) -> int:
     """Number of rows output·Aᵏ that are certainly independent, by elimination with balls."""
     basis: list[tuple[int, list[flint.arb]]] = []
     block = output.tolist()
@@ -63,9 +99,3 @@ def _reduced(matrix: flint.nmod_mat, prime: int) -> tuple[flint.nmod_mat, int]:
     reduced, size = matrix.rref()
     rows = reduced.tolist()[:size]
     return flint.nmod_mat(size, matrix.ncols(), [int(v) for row in rows for v in row], prime), size
-
-
-def residues(matrix: sp.Matrix, prime: int) -> flint.nmod_mat:
-    """The matrix at a random point modulo `prime`."""
-    table = values(list(matrix), 1, prime=prime)[0]
-    return flint.nmod_mat(matrix.rows, matrix.cols, [int(v) for v in table], prime)

@@ -50,7 +50,7 @@ def _block_psd(block: sp.Matrix) -> bool | None:
             pivot = signs.index("+")
         elif "0" in signs:
             zero = signs.index("0")
-            others = [_is_zero_row(remaining, zero, j) for j in range(remaining.rows) if j != zero]
+            others = [is_zero(remaining[zero, j]) for j in range(remaining.rows) if j != zero]
             if False in others:
                 return False
             if None in others:
@@ -63,10 +63,6 @@ def _block_psd(block: sp.Matrix) -> bool | None:
         schur = _without(remaining, pivot) - column * column.T / remaining[pivot, pivot]
         remaining = schur.applyfunc(tidy)
     return True
-
-
-def _is_zero_row(matrix: sp.Matrix, i: int, j: int) -> bool | None:
-    return is_zero(matrix[i, j])
 
 
 def _without(matrix: sp.Matrix, index: int, rows_only: bool = False) -> sp.Matrix:

@@ -6,12 +6,12 @@ from collections.abc import Callable
 
 import casadi as ca
 import numpy as np
-import sympy as sp
 
 from necc_casadi.arrays import Vector
 from necc_casadi.lyapunov.lyapunov import Terms
 from necc_casadi.lyapunov.networks import KAPPA_MIN
-from necc_casadi.synthesis.units import Scales
+from necc_casadi.model.sizes import Sizes
+from necc_casadi.symbolic.floats import to_floats
 from necc_casadi.verdict.verdict import Verdict
 
 __all__ = ["least_kappa"]
@@ -33,28 +33,29 @@ _STIFFEST = 1e4
 
 
 def least_kappa(
-    terms: Terms, scales: Scales, verdict: Verdict, x_star: Vector, xi_star: Vector, a: float
+    terms: Terms, scales: Sizes, verdict: Verdict, x_star: Vector, xi_star: Vector, a: Vector
 ) -> float:
     """The least κ, in natural units, for which quadratic parts alone make V convex at samples.
 
-    They must also reach the curvature `a` at z*, with something to spare, so that the networks
-    need not. The samples fill twice the natural domain, whole turns of an angle included. A
-    certificate, not this search, says whether V is convex everywhere. Where no stiffness helps
+    They must also reach the curvature `a` (n + nc,) at z*, with something to spare, so that the
+    networks need not. The samples fill twice the natural domain, whole turns of an angle included.
+    A certificate, not this search, says whether V is convex everywhere. Where no stiffness helps
     (H curves downwards somewhere along an invisible direction) the default bound is returned.
     """
     hessians = _hessians(terms, scales, verdict, np.concatenate([x_star, xi_star]))
+    asked = np.sqrt(np.outer(a, a))
     relative = np.outer(scales.state, scales.state) / scales.energy
 
     def lowest(kappa: float) -> tuple[float, float]:
         at_target, around = hessians(kappa)
-        least = np.linalg.eigvalsh(at_target)[0], np.linalg.eigvalsh(around * relative).min()
-        return float(least[0]), float(least[1])
+        least = np.linalg.eigvalsh(at_target / asked)[0]
+        return float(least), float(np.linalg.eigvalsh(around * relative).min())
 
     # invisible directions have the curvature of H and no more: ask for what can be reached
     top, margin = lowest(_STIFFEST)
-    if top <= a or margin <= 0:
+    if top <= 1 or margin <= 0:
         return KAPPA_MIN
-    needed = min(_TO_SPARE * a, (a + top) / 2), min(_MARGIN, margin / 2)
+    needed = min(_TO_SPARE, (1 + top) / 2), min(_MARGIN, margin / 2)
 
     def convex(kappa: float) -> bool:
         reached = lowest(kappa)
@@ -71,7 +72,7 @@ def least_kappa(
 
 
 def _hessians(
-    terms: Terms, scales: Scales, verdict: Verdict, z_star: Vector
+    terms: Terms, scales: Sizes, verdict: Verdict, z_star: Vector
 ) -> Callable[[float], tuple[Vector, Vector]]:
     """κ ↦ ∇²V at z* and at the samples, V = H + λᵀc + ½κ(‖ξ‖² + ‖c − c*‖²) in natural units."""
     n = terms.n
@@ -82,7 +83,7 @@ def _hessians(
     reach[reach == 0] = 1.0
     lam = np.zeros(terms.r)
     if verdict.lam is not None and len(verdict.lam) == terms.r:
-        lam = np.array([float(sp.N(v)) for v in verdict.lam])
+        lam = to_floats(verdict.lam)
     stretch = ca.sumsqr(z[n:] / scales.state[n:]) + ca.sumsqr((c - c_star) / reach)
     V = terms.H(z[:n]) + ca.dot(lam, c) + kappa * scales.energy / 2 * stretch
     hessian = ca.Function("hessian", [z, kappa], [ca.hessian(V, z)[0]])

@@ -42,8 +42,8 @@ def choose_damping(
     """
     if D is not None and Dc is not None:
         return D, Dc
-    hessian = np.asarray(V.hessian(z_star), float)
-    M = np.asarray(V.terms.M(z_star), float) / float(V.phi_slope(z_star))
+    hessian = V.hessian(z_star)
+    M = np.asarray(V.terms.M(z_star), float) / V.phi_slope(z_star)
     ports = np.array(loop.ports.subs(dict(zip(loop.z, z_star, strict=True))).evalf(), float)
     natural = _natural_damping(M, hessian, ports)
     m = V.terms.m

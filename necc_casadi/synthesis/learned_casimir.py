@@ -19,7 +19,7 @@ from necc_casadi.designs.outcome import Residual
 from necc_casadi.lyapunov.lyapunov import Terms
 from necc_casadi.lyapunov.parameterization import Form
 from necc_casadi.model.closed_loop import ClosedLoop
-from necc_casadi.synthesis.units import Scales
+from necc_casadi.model.sizes import Sizes
 
 __all__ = ["casimir_penalty", "casimir_residual", "state_inputs"]
 
@@ -44,7 +44,7 @@ def state_inputs(loop: ClosedLoop, casimirs: Casimirs) -> Casimirs:
 
 
 def casimir_penalty(
-    terms: Terms, form: Form, scales: Scales, z_guess: Vector, seed: int
+    terms: Terms, form: Form, scales: Sizes, z_guess: Vector, seed: int
 ) -> Callable[[ca.MX, ca.MX], ca.MX]:
     """(weights, ξ*) ↦ weighted mean over samples of ‖∇C_θᵀ(Jcl − Rcl)‖², in natural units."""
     w, z = ca.MX.sym("w", form.size), ca.MX.sym("z", len(z_guess))
@@ -61,7 +61,7 @@ def casimir_penalty(
 
 
 def casimir_residual(
-    terms: Terms, form: Form, weights: Vector, scales: Scales, z_star: Vector, seed: int
+    terms: Terms, form: Form, weights: Vector, scales: Sizes, z_star: Vector, seed: int
 ) -> Residual:
     """The relative residual on fresh samples of the domain."""
     z = ca.MX.sym("z", len(z_star))
@@ -75,7 +75,7 @@ def casimir_residual(
     return Residual(float(np.mean(shares)), float(np.max(shares)), len(shares))
 
 
-def _samples(scales: Scales, centre: Vector, count: int, seed: int) -> Vector:
+def _samples(scales: Sizes, centre: Vector, count: int, seed: int) -> Vector:
     """Points of the natural domain around `centre` (half-width two sizes), (count, n + nc)."""
     rng = np.random.default_rng(seed)
     return centre + rng.uniform(-2, 2, (count, len(centre))) * scales.state

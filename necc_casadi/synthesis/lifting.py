@@ -21,7 +21,7 @@ from necc_casadi.arrays import Vector
 from necc_casadi.lyapunov.lyapunov import Terms, value
 from necc_casadi.lyapunov.networks import MonotonePhi, Network
 from necc_casadi.lyapunov.parameterization import Form
-from necc_casadi.synthesis.units import Scales
+from necc_casadi.model.sizes import Sizes
 
 __all__ = ["Lifting"]
 
@@ -69,7 +69,7 @@ class Lifting:
         terms: Terms,
         form: Form,
         x_star: Vector,  # (n,)
-        scales: Scales,
+        scales: Sizes,
         guess: Vector,  # (nc,) where ξ* starts
     ) -> None:
         self.terms, self.form, self.x_star = terms, form, x_star
@@ -164,10 +164,13 @@ class Lifting:
         g, N = self.gradient_hessian.call([small])
         return np.asarray(g, float).ravel(), np.asarray(N, float)
 
-    def loss(self, w: Vector, xi: Vector, a: float) -> float:
-        """ε of eq. Loss from weights and ξ*, by eigenvalues."""
+    def loss(self, w: Vector, xi: Vector, a: float | Vector) -> float:
+        """ε of eq. Loss as the solver sees it, through the lifted variables that w and ξ* imply.
+
+        Of a finished design, :mod:`necc_casadi.designs.error_bound` asks V itself.
+        """
         g, N = self.at(self.jets_at(w, xi))
-        return float(np.linalg.norm(g) + max(0.0, a - np.linalg.eigvalsh(N)[0]))
+        return float(np.linalg.norm(g) + max(0.0, -np.linalg.eigvalsh(N - a * np.eye(len(N)))[0]))
 
     def small_at(self, w_hat: Vector, xi: Vector) -> Vector:
         """Lifted variables of dimensionless weights ŵ at ξ* = xi."""

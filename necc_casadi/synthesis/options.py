@@ -3,25 +3,29 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import get_args
 
 import numpy as np
 
 from necc_casadi.arrays import Vector
+from necc_casadi.cases import Activation, CasimirForm, PhiForm, Shape
 from necc_casadi.errors import OptionError
 from necc_casadi.lyapunov.networks import MonotonePhi, Network
 from necc_casadi.lyapunov.parameterization import Form
-from necc_casadi.synthesis.units import Scales
-from necc_casadi.verdict.verdict import Verdict
 
-__all__ = ["SHAPES", "Options", "check_options", "default_a", "form_of", "paper_options"]
+__all__ = ["Level", "Options", "Regulariser", "check_options", "form_of", "paper_options"]
 
 
-#: Curvature asked for by default, as a share of the reference stiffness.
-_DEFAULT_A = 0.5
+@dataclass(frozen=True)
+class Regulariser:
+    """‖z − z*‖² ≤ γ (V(z) − V(z*)) on average over the domain is asked of V, natural units."""
+
+    gamma: float = 1.0
 
 
-#: What can be asked for; "none" leaves V to the conditions at z*.
-SHAPES = ("none", "regulariser", "level")
+@dataclass(frozen=True)
+class Level:
+    """As much of the domain as possible below a level that its boundary is not below."""
 
 
 @dataclass(frozen=True)
@@ -38,22 +42,29 @@ class Options:
 
     hidden_k: tuple[int, ...] = (64,)
     hidden_h: tuple[int, ...] = (32,)
-    activation: str = "tanh"
+    activation: Activation = "tanh"
     quadratic: bool = True  # adds a positive quadratic part to K and Hc
-    casimir_form: str = "joint"  # "sum": K(Σ βᵢ(cᵢ)), "joint": K(c₁, …, c_r)
-    phi: str = "sum"  # "sum": Φ = H + Hc + C, "neural": MonotonePhi
+    casimir_form: CasimirForm = "joint"
+    phi: PhiForm = "sum"
     a: float | None = None
     keep_a: bool = False  # ask for `a` even where no network can reach it
     D: Vector | None = None  # m × m
     Dc: Vector | None = None  # m × m
     convex: bool = False  # quadratic parts stiff enough to make V convex everywhere
     learn_casimir: bool = False  # a network C(z), a Casimir only approximately
-    shape: str = "none"  # what is asked of V over the domain: a key of SHAPES
-    gamma: float | None = None  # of the regulariser: ‖z − z*‖² ≤ γ ΔV on average, natural units
-    natural_units: bool = True  # scale the networks to the plant's domain and energy
+    shape: Shape = "none"
+    gamma: float | None = None  # of the regulariser; None: 1
+    natural_units: bool = True  # train in natural units, not in the model's
     seed: int = 0
     starts: int = 1
     verbose: bool = False
+
+    @property
+    def shaping(self) -> Regulariser | Level | None:
+        """What `shape` and `gamma` ask of V over the domain."""
+        if self.shape == "regulariser":
+            return Regulariser() if self.gamma is None else Regulariser(self.gamma)
+        return Level() if self.shape == "level" else None
 
 
 def paper_options(m: int) -> Options:
@@ -98,9 +109,11 @@ def check_options(options: Options) -> None:
     OptionError
         For an unknown shape, a γ that is not positive, or a form that cannot be shaped.
     """
-    if options.shape not in SHAPES:
+    if options.shape not in get_args(Shape):
         raise OptionError(
-            "usage", f"--shape {options.shape} is not known", f"Choose from {', '.join(SHAPES)}."
+            "usage",
+            f"--shape {options.shape} is not known",
+            f"Choose from {', '.join(get_args(Shape))}.",
         )
     if options.gamma is not None and options.shape != "regulariser":
         raise OptionError(
@@ -113,7 +126,7 @@ def check_options(options: Options) -> None:
         raise OptionError(
             "usage", f"--gamma {options.gamma} is not a positive number", "Try --gamma 1."
         )
-    if options.shape == "none":
+    if options.shaping is None:
         return
     for clash, name, remedy in (
         (options.phi != "sum", "--phi neural", "Drop it: Φ = H + Hc + C can be shaped."),
@@ -144,11 +157,3 @@ def form_of(options: Options, nc: int, r: int) -> Form:
         betas=betas,
         phi=MonotonePhi() if options.phi == "neural" else None,
     )
-
-
-def default_a(scales: Scales, verdict: Verdict) -> float:
-    """Half of the reference stiffness, and no more than half of the ceiling."""
-    a = _DEFAULT_A * float(scales.stiffness.min())
-    if verdict.a_max is not None:
-        a = min(a, 0.5 * verdict.a_max)
-    return float(f"{a:.3g}")

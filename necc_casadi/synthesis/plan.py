@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,15 +11,24 @@ import sympy as sp
 from necc_casadi.arrays import Vector
 from necc_casadi.casimirs.casimirs import Casimirs
 from necc_casadi.casimirs.momenta import find_momenta
+from necc_casadi.designs.natural import (
+    natural_ceiling,
+    natural_verdict,
+    rescaled_casimirs,
+    units_for,
+)
 from necc_casadi.errors import OptionError
 from necc_casadi.lyapunov.lyapunov import Terms, make_terms
 from necc_casadi.lyapunov.networks import KAPPA_MIN
 from necc_casadi.lyapunov.parameterization import Form
 from necc_casadi.model.closed_loop import ClosedLoop
+from necc_casadi.model.rescale import exactly, rescaled_loop
+from necc_casadi.model.sizes import Sizes, natural_sizes, with_casimirs
 from necc_casadi.symbolic.expressions import is_finite
+from necc_casadi.symbolic.floats import to_floats
 from necc_casadi.synthesis.convexity import least_kappa
 from necc_casadi.synthesis.learned_casimir import casimir_penalty, state_inputs
-from necc_casadi.synthesis.options import Options, check_options, default_a, form_of
+from necc_casadi.synthesis.options import Options, check_options, form_of
 from necc_casadi.synthesis.potential_free import (
     HELD_XI,
     POTENTIAL_FREE_STIFFNESS,
@@ -29,32 +38,42 @@ from necc_casadi.synthesis.potential_free import (
 from necc_casadi.synthesis.sample_box import sample_box
 from necc_casadi.synthesis.shaping import Shaping, make_shaping
 from necc_casadi.synthesis.training import STIFFER, Anchor, Penalty
-from necc_casadi.synthesis.units import Scales, natural_scales
 from necc_casadi.verdict.verdict import Verdict
 
 __all__ = ["Plan", "make_plan"]
 
 #: Hidden layer of a learned Casimir: small enough for exact second derivatives.
 _LEARNED_HIDDEN = (32,)
+#: Curvature asked for by default in natural units, and at most as a share of the ceiling there.
+_DEFAULT_A, _OF_CEILING = 0.5, 0.5
 #: Share of the ceiling a_max that is asked for when the request lies beyond it.
 _BELOW_CEILING = 0.9
 
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """The networks, the point they are trained at and what is asked of them."""
+    """The networks, the point they are trained at and what is asked of them, in training units."""
 
     loop: ClosedLoop
     casimirs: Casimirs  # those that V is made of: smooth at x*, or what stands in for them
+    in_model: Casimirs  # the same in the units of the model
     terms: Terms
     form: Form
-    x: Vector  # (n,) x*
-    natural: Scales
-    scales: Scales  # of the training program
-    a: float  # curvature asked of ∇²V(z*)
+    x_star: tuple[sp.Expr, ...]  # (n,)
+    sizes: Sizes  # in the units of the model
+    units: Sizes  # of training, powers of two
+    natural: Sizes  # the sizes in training units
+    scales: Sizes  # the sizes that the networks are scaled to
+    curvature: Vector  # (n + nc,) diagonal asked of ∇²V(z*)
+    a: float  # the same in the model's units: ∇²V(z*) ⪰ aI
     a_requested: float
     anchor: Anchor
     extra: Penalty | Shaping | None
+
+    @property
+    def x(self) -> Vector:
+        """x*, (n,)."""
+        return to_floats(self.x_star)
 
     @property
     def z(self) -> Vector:
@@ -69,7 +88,7 @@ def make_plan(
     x_star: Mapping[sp.Symbol, sp.Expr],
     options: Options,
 ) -> Plan:
-    """Decide form, scales, curvature and start of the training.
+    """Decide form, units, curvature and start of the training.
 
     Raises
     ------
@@ -77,52 +96,96 @@ def make_plan(
         For options that do not go together, or a form that cannot be shaped.
     """
     check_options(options)
-    casimirs, options = _inputs(loop, found, x_star, options)
-    terms = make_terms(loop, casimirs)
-    form = form_of(options, terms.nc, terms.r)
-    x = np.array([float(sp.N(x_star[s], 20)) for s in loop.plant.x])
-    guess = np.zeros(terms.nc)
+    in_model, options = _inputs(loop, found, x_star, options)
+    form = form_of(options, loop.controller.nc, len(in_model.functions))
+    guess = np.zeros(loop.controller.nc)
     if verdict.xi_star is not None:
-        guess = np.array([float(sp.N(v, 20)) for v in verdict.xi_star])
-    plain = options.quadratic and form.phi is None and not form.betas
-    potential_free = plain and is_potential_free(loop, casimirs)
-    if potential_free:
-        guess = best_coordinates(terms, x, guess, natural_scales(loop, casimirs, x, guess))
-    natural = natural_scales(loop, casimirs, x, guess)
-    scales = natural if options.natural_units else Scales(np.ones(len(loop.z)), 1.0)
-    requested = options.a if options.a is not None else default_a(natural, verdict)
-    a = requested
-    if verdict.a_max is not None and requested >= verdict.a_max and not options.keep_a:
-        a = _BELOW_CEILING * verdict.a_max
-    anchor = Anchor(guess)
-    if potential_free:
-        anchor = replace(anchor, pull=HELD_XI, stiffness=POTENTIAL_FREE_STIFFNESS)
-    if options.convex:
-        kappa = least_kappa(terms, scales, verdict, x, guess, a)
-        stiff = (STIFFER * kappa,) * len(form.networks) if kappa > KAPPA_MIN else anchor.stiffness
-        anchor = replace(anchor, kappa_min=kappa, stiffness=stiff)
-    plan = Plan(loop, casimirs, terms, form, x, natural, scales, a, requested, anchor, None)
+        guess = to_floats(verdict.xi_star)
+    sizes = natural_sizes(loop, found.functions, x_star, guess)
+    sizes = with_casimirs(sizes, loop, in_model.functions, x_star, guess)
+    ones = Sizes.ones(len(loop.z), loop.plant.m, len(in_model.functions))
+    units = units_for(sizes, form) if options.natural_units else ones
+    a, requested, curvature = _curvature(verdict, sizes, units, options)
+    natural = sizes.measured_in(units)
+    scaled = rescaled_loop(loop, units)
+    casimirs = rescaled_casimirs(in_model, loop, units)
+    verdict = natural_verdict(verdict, units, loop.plant.n)
+    terms = make_terms(scaled, casimirs)
+    state = exactly(units.state)
+    plan = Plan(
+        loop=scaled,
+        casimirs=casimirs,
+        in_model=in_model,
+        terms=terms,
+        form=form,
+        x_star=tuple(x_star[s] / size for s, size in zip(loop.plant.x, state, strict=False)),
+        sizes=sizes,
+        units=units,
+        natural=natural,
+        scales=natural if options.natural_units else ones,
+        curvature=curvature,
+        a=a,
+        a_requested=requested,
+        anchor=Anchor(guess / units.state[terms.n :]),
+        extra=None,
+    )
+    plan = replace(plan, anchor=_anchor(plan, verdict, options))
     if options.learn_casimir:
         penalty = casimir_penalty(terms, form, natural, plan.z, options.seed)
         return replace(plan, extra=penalty)
-    if options.shape == "none":
-        return plan
-    return replace(plan, extra=_shaping(plan, [x_star[s] for s in loop.plant.x], options))
+    return replace(plan, extra=_shaping(plan, options))
 
 
-def _shaping(plan: Plan, x_star: Sequence[sp.Expr], options: Options) -> Shaping:
+def _curvature(
+    verdict: Verdict, sizes: Sizes, units: Sizes, options: Options
+) -> tuple[float, float, Vector]:
+    """(a, a that was requested, both in the model's units; the diagonal in training units)."""
+    in_training = units.state**2 / units.energy
+    if options.a is not None:
+        a = options.a
+        if verdict.a_max is not None and a >= verdict.a_max and not options.keep_a:
+            a = _BELOW_CEILING * verdict.a_max
+        return a, options.a, a * in_training
+    share = _DEFAULT_A
+    ceiling = natural_ceiling(verdict, sizes)
+    if ceiling is not None:
+        share = min(share, _OF_CEILING * ceiling)
+    a = share * float(sizes.stiffness.min())
+    if not options.natural_units:
+        return a, a, a * in_training
+    return a, a, share * sizes.measured_in(units).stiffness
+
+
+def _anchor(plan: Plan, verdict: Verdict, options: Options) -> Anchor:
+    """Where training starts, and how stiff the quadratic parts are there."""
+    anchor, form = plan.anchor, plan.form
+    plain = options.quadratic and form.phi is None and not form.betas
+    if plain and is_potential_free(plan.loop, plan.casimirs):
+        guess = best_coordinates(plan.terms, plan.x, anchor.xi, plan.natural)
+        anchor = Anchor(guess, pull=HELD_XI, stiffness=POTENTIAL_FREE_STIFFNESS)
+    if options.convex:
+        kappa = least_kappa(plan.terms, plan.scales, verdict, plan.x, anchor.xi, plan.curvature)
+        stiff = (STIFFER * kappa,) * len(form.networks) if kappa > KAPPA_MIN else anchor.stiffness
+        anchor = replace(anchor, kappa_min=kappa, stiffness=stiff)
+    return anchor
+
+
+def _shaping(plan: Plan, options: Options) -> Shaping | None:
     """What is asked of V over samples of the domain."""
+    asked = options.shaping
+    if asked is None:
+        return None
     if plan.form.betas:
         raise OptionError(
             "usage",
             f"--shape {options.shape} needs C = K(c₁, …, c_r), but the form is K(Σ βᵢ(cᵢ))",
             "Add --casimir-form joint.",
         )
-    momenta = find_momenta(plan.loop, plan.casimirs, x_star)
-    box = sample_box(plan.loop, plan.casimirs, plan.terms, plan.z, momenta)
-    size, energy = plan.natural.state, plan.natural.energy
-    gamma = 1.0 if options.gamma is None else options.gamma
-    return make_shaping(options.shape, box, size, energy, plan.a, gamma, options.seed)
+    momenta = find_momenta(plan.loop, plan.casimirs, plan.x_star)
+    natural = plan.natural
+    box = sample_box(plan.loop, plan.casimirs, plan.terms, plan.z, natural.state, momenta)
+    a = float((plan.curvature * natural.state**2).min())
+    return make_shaping(asked, box, natural.state, natural.energy, a, options.seed)
 
 
 def _inputs(

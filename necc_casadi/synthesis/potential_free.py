@@ -15,8 +15,8 @@ from necc_casadi.casimirs.casimirs import Casimirs
 from necc_casadi.interrupts import interruptible
 from necc_casadi.lyapunov.lyapunov import Terms
 from necc_casadi.model.closed_loop import ClosedLoop
+from necc_casadi.model.sizes import Sizes
 from necc_casadi.symbolic.derivatives import gradient
-from necc_casadi.synthesis.units import Scales
 
 __all__ = ["HELD_XI", "POTENTIAL_FREE_STIFFNESS", "best_coordinates", "is_potential_free"]
 
@@ -46,7 +46,7 @@ def is_potential_free(loop: ClosedLoop, casimirs: Casimirs) -> bool:
     return curved and not any(states & loop.plant.H.free_symbols for states in used)
 
 
-def best_coordinates(terms: Terms, x_star: Vector, guess: Vector, scales: Scales) -> Vector:
+def best_coordinates(terms: Terms, x_star: Vector, guess: Vector, scales: Sizes) -> Vector:
     """ξ* near `guess` at which the Casimirs are the best coordinates of x: log det ∂c/∂xᵀ∂c/∂x.
 
     Where that grows up to the end of the search, or not at all, the guess stays.

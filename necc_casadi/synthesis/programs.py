@@ -10,6 +10,7 @@ import casadi as ca
 import numpy as np
 
 from necc_casadi.arrays import Vector
+from necc_casadi.cases import Mode
 from necc_casadi.synthesis.lifting import Lifting
 
 __all__ = ["Program", "hard_program", "soft_program", "with_level"]
@@ -23,7 +24,7 @@ _ZERO = 1e-12
 class Program:
     """Objective and constraints in the lifted variables and extra ones; networks come later."""
 
-    mode: str  # "hard" or "soft"
+    mode: Mode
     extra: ca.SX  # variables besides the lifted ones
     lower: Vector  # lower bounds of `extra`
     objective: ca.SX
@@ -32,8 +33,10 @@ class Program:
     initial: Callable[[Vector], Vector]  # lifted variables -> start of `extra`
 
 
-def hard_program(lifting: Lifting, a: float, stiffness: tuple[float, ...] | None) -> Program | None:
-    """∇V(z*) = 0, ∇²V(z*) − aI = LLᵀ; None where no weight can satisfy that."""
+def hard_program(
+    lifting: Lifting, a: Vector, stiffness: tuple[float, ...] | None
+) -> Program | None:
+    """∇V(z*) = 0, ∇²V(z*) − diag(a) = LLᵀ; None where no weight can satisfy that."""
     movable = _movable_rows(lifting, a)
     if movable is None:
         return None
@@ -61,8 +64,8 @@ def hard_program(lifting: Lifting, a: float, stiffness: tuple[float, ...] | None
     )
 
 
-def _movable_rows(lifting: Lifting, a: float) -> tuple[ca.SX, ca.SX, list[int]] | None:
-    """(rows of g, Schur complement of N − aI, its indices) that the design can move."""
+def _movable_rows(lifting: Lifting, a: Vector) -> tuple[ca.SX, ca.SX, list[int]] | None:
+    """(rows of g, Schur complement of N − diag(a), its indices) that the design can move."""
     g, N, small = lifting.g, lifting.N, lifting.small
     n = g.numel()
     moves = ca.which_depends(ca.densify(ca.vertcat(g, ca.vec(N))), small, 1, True)
@@ -74,30 +77,30 @@ def _movable_rows(lifting: Lifting, a: float) -> tuple[ca.SX, ca.SX, list[int]] 
     size = lifting.scales.energy / lifting.scales.state
     if np.any(np.abs(g0[fixed_g]) > _ZERO * size[fixed_g]):
         return None
-    A = N0[np.ix_(rest, rest)] - a * np.eye(len(rest))
+    A = N0[np.ix_(rest, rest)] - np.diag(a[rest])
     if len(rest) and np.linalg.eigvalsh(A)[0] <= 0:
         return None
     B = N0[np.ix_(rest, rows)]
-    S = N[rows, rows] - a * ca.SX.eye(len(rows))
+    S = N[rows, rows] - ca.diag(ca.SX(ca.DM(a[rows])))
     if B.any():
         S -= ca.sparsify(ca.DM(B.T @ np.linalg.solve(A, B)))
     return ca.vertcat(*[g[i] for i in range(n) if moves[i]]), ca.sparsify(S), rows
 
 
-def soft_program(lifting: Lifting, a: float, _: tuple[float, ...] | None) -> Program:
-    """Minimise s + t with ∇V(z*) = s w, wᵀw ≤ 1, ∇²V(z*) + (t − a)I = LLᵀ: ε exactly."""
+def soft_program(lifting: Lifting, a: Vector, _: tuple[float, ...] | None) -> Program:
+    """Minimise s + t with ∇V(z*) = s w, wᵀw ≤ 1, ∇²V(z*) + tI − diag(a) = LLᵀ: ε exactly."""
     n = lifting.g.numel()
     s, t, w = ca.SX.sym("s"), ca.SX.sym("t"), ca.SX.sym("w", n)
     pattern = _block_pattern(lifting.N)
     L, entries = _lower(pattern)
-    shifted = lifting.N + (t - a) * ca.SX.eye(n)
+    shifted = lifting.N + ca.diag(t - ca.SX(ca.DM(a)))
     gap = ca.vertcat(*[(shifted - L @ L.T)[i, j] for i, j in pattern])
 
     def initial(small: Vector) -> Vector:
         g0, N0 = lifting.at(small)
         s0 = max(float(np.linalg.norm(g0)), 1e-3)
-        t0 = max(0.0, a - np.linalg.eigvalsh(N0)[0]) + 0.1 * a
-        factor = np.linalg.cholesky(N0 + (t0 - a) * np.eye(n))
+        t0 = max(0.0, -np.linalg.eigvalsh(N0 - np.diag(a))[0]) + 0.1 * a.max()
+        factor = np.asarray(np.linalg.cholesky(N0 + np.diag(t0 - a)), float)
         return np.concatenate([[s0, t0], g0 / s0, _on(pattern, factor)])
 
     return Program(

@@ -37,10 +37,15 @@ class SampleBox:
 
 
 def sample_box(
-    loop: ClosedLoop, casimirs: Casimirs, terms: Terms, z: Vector, momenta: Sequence[int]
+    loop: ClosedLoop,
+    casimirs: Casimirs,
+    terms: Terms,
+    z: Vector,
+    size: Vector,
+    momenta: Sequence[int],
 ) -> SampleBox:
-    """The domain around z = (x*, ξ*)."""
-    domain = domain_of(loop, z)
+    """The domain around z = (x*, ξ*), states of these sizes."""
+    domain = domain_of(loop, z, size)
     used = set().union(*(c.free_symbols for c in casimirs.functions))
     return SampleBox(
         lo=domain.lo - z,

@@ -41,6 +41,7 @@ from necc_casadi.lyapunov.networks import Network
 from necc_casadi.lyapunov.parameterization import Form
 from necc_casadi.model.samples import quasi_random
 from necc_casadi.synthesis.lifting import Lifting
+from necc_casadi.synthesis.options import Level, Regulariser
 from necc_casadi.synthesis.sample_box import SampleBox
 
 __all__ = [
@@ -96,7 +97,7 @@ _VALUE, _SLOPE, _CURVATURE = range(3)
 
 
 #: Weight beside the other terms of the objective, which then only select among equal shapes.
-_WEIGHT = {"regulariser": 100.0, "level": 5000.0}
+_REGULARISER_WEIGHT, _LEVEL_WEIGHT = 100.0, 5000.0
 
 
 #: The largest level in units of energy, as for a momentum at twice its natural size.
@@ -123,7 +124,7 @@ class Shaping:
     growth, then curvature, then ΔV(bⱼ). Energies and lengths are in natural units.
     """
 
-    kind: str  # "regulariser" or "level"
+    asked: Regulariser | Level
     inner: Vector  # (N, n + nc) zᵢ − z*
     rays: Vector  # (N, n + nc) yᵢ − z* for the growth
     near: Vector  # (N, n + nc) yᵢ − z* for the curvature
@@ -132,12 +133,11 @@ class Shaping:
     size: Vector  # (n + nc,) natural size of each state
     energy: float  # natural size of V
     growth: float = _GROWTH  # η
-    gamma: float = 1.0
 
     @property
     def has_level(self) -> bool:
         """Whether the level c is a decision variable."""
-        return self.kind == "level"
+        return isinstance(self.asked, Level)
 
     @property
     def count(self) -> int:
@@ -168,11 +168,11 @@ class Shaping:
 
         squares = [((o / self.size) ** 2).sum(1) for o in (self.inner, self.rays)]
         parts = [at(_VALUE, self.inner, self.inner)]
-        if not self.has_level:
-            u, A = parts[0]
+        if isinstance(self.asked, Regulariser):
+            (u, A), gamma = parts[0], self.asked.gamma
             defined = u != _AT_A_POLE
-            mean = np.array([np.mean((squares[0] - self.gamma * u)[defined])])
-            slope = -self.gamma * A[defined].mean(0, keepdims=True)
+            mean = np.array([np.mean((squares[0] - gamma * u)[defined])])
+            slope = -gamma * A[defined].mean(0, keepdims=True)
             return slope, mean - slope @ weights[moving]
         parts.append(at(_SLOPE, self.rays, self.rays / squares[1][:, None]))
         parts.append(at(_CURVATURE, self.near, self.directions))
@@ -183,14 +183,14 @@ class Shaping:
     def objective(self, u: ca.SX, c: ca.SX) -> ca.SX:
         """The weighted objective, a sum of functions of (uᵢ, c)."""
         if not self.has_level:
-            return _WEIGHT[self.kind] * _relu(u, _SMOOTHING)
+            return _REGULARISER_WEIGHT * _relu(u, _SMOOTHING)
         N, M = len(self.inner), len(self.rays)
         outside = (u[:N] - c) / (_SHARPNESS * _HIGHEST)
         share = ca.sum1(1 + outside / ca.sqrt(1 + outside**2)) / (2 * N)
         growth, curvature = u[N : N + M], u[N + M : N + 2 * M]
         short = _GROWTH_COST * _relu(self.growth - growth, _GROWTH_SMOOTHING)
         short += _CURVATURE_COST * _relu(self.growth - curvature, _GROWTH_SMOOTHING)
-        return _WEIGHT[self.kind] * (share + ca.sum1(short) / M)
+        return _LEVEL_WEIGHT * (share + ca.sum1(short) / M)
 
     def margins(self, u: ca.SX, c: ca.SX) -> ca.SX:
         """What must not be negative."""
@@ -206,27 +206,27 @@ class Shaping:
 
 
 def make_shaping(
-    kind: str, box: SampleBox, size: Vector, energy: float, a: float, gamma: float, seed: int
+    asked: Regulariser | Level, box: SampleBox, size: Vector, energy: float, a: float, seed: int
 ) -> Shaping:
     """Samples of the box and of its boundary, the same for the same seed.
 
-    No more growth is asked for than the curvature `a` at z* allows in every direction.
+    No more growth is asked for than the curvature `a` at z* allows, in energy over squared size.
     """
     shaped = list(box.shaped)
     ceiling = min(box.ceiling, _least_excess(box, seed))
     ceiling = ceiling if ceiling > 0 else np.inf  # nothing keeps them in: no region, whatever V is
     inner = _offsets(box, box.active, quasi_random(_CANDIDATES * _INNER, len(box.active), seed))
     within = inner[box.excess(inner) <= ceiling]
-    inner = (within if kind == "level" and len(within) else inner)[:_INNER]
+    inner = (within if isinstance(asked, Level) and len(within) else inner)[:_INNER]
     cube = quasi_random(_INNER, len(shaped) + 1, seed)
     around, depth = _offsets(box, box.shaped, cube[:, 1:]), cube[:, :1]
     directions = np.zeros_like(around)
     directions[:, shaped] = np.random.default_rng(seed).normal(size=(_INNER, len(shaped)))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    if kind == "level":  # what matters is how far V lies below the largest level
+    if isinstance(asked, Level):  # what matters is how far V lies below the largest level
         energy = ceiling / _HIGHEST if np.isfinite(ceiling) else energy
     return Shaping(
-        kind=kind,
+        asked=asked,
         inner=inner,
         rays=around * (_NEAREST + (1 - _NEAREST) * depth),
         near=around * (_CONVEX if len(box.active) <= 2 else _CONVEX_IN_MORE),
@@ -234,8 +234,7 @@ def make_shaping(
         boundary=np.concatenate(list(_faces(box, box.shaped, _BOUNDARY, seed))),
         size=size,
         energy=energy,
-        growth=min(_GROWTH, _BELOW_A * a * float(size[shaped].min()) ** 2 / energy),
-        gamma=gamma,
+        growth=min(_GROWTH, _BELOW_A * a / energy),
     )
 
 

@@ -9,6 +9,7 @@ import sympy as sp
 
 from necc_casadi.casimirs.casimirs import Casimirs
 from necc_casadi.designs.design import Design
+from necc_casadi.designs.natural import damping_units, units_for, weight_units
 from necc_casadi.designs.outcome import Start
 from necc_casadi.lyapunov.lyapunov import LyapunovFunction
 from necc_casadi.model.closed_loop import ClosedLoop
@@ -77,7 +78,7 @@ def design(
         terms,
         form,
         plan.x,
-        a=plan.a,
+        a=plan.curvature,
         scales=plan.scales,
         anchor=plan.anchor,
         extra=plan.extra,
@@ -88,22 +89,33 @@ def design(
     )
     weights, z_star = solution.weights, np.concatenate([plan.x, solution.xi_star])
     undamped = LyapunovFunction(terms, form, weights, np.eye(terms.m), np.eye(terms.m))
-    D, Dc = choose_damping(undamped, loop, z_star, options.D, options.Dc)
+    damping = damping_units(plan.units)
+    given = (
+        None if options.D is None else options.D / damping,
+        None if options.Dc is None else options.Dc * damping,
+    )
+    D, Dc = choose_damping(undamped, plan.loop, z_star, *given)
+    stored = units_for(plan.sizes, form)
     learned = None
     if options.learn_casimir:
         learned = casimir_residual(terms, form, weights, plan.natural, z_star, options.seed)
     made = Design(
         loop=loop,
-        casimirs=plan.casimirs,
+        casimirs=plan.in_model,
         x_star=tuple(x_star[s] for s in loop.plant.x),
         verdict=verdict,
         form=form,
-        weights=weights,
-        xi_star=solution.xi_star,
-        D=D,
-        Dc=Dc,
+        weights=weights * weight_units(form, plan.units),
+        xi_star=solution.xi_star * plan.units.state[terms.n :],
+        D=D * damping,
+        Dc=Dc / damping,
         a=plan.a,
         a_requested=plan.a_requested,
+        sizes=plan.sizes,
+        units=stored,
+        curvature=plan.curvature
+        * (stored.state / plan.units.state) ** 2
+        * (plan.units.energy / stored.energy),
         seed=options.seed,
         starts=solution.starts,
         learned=learned,

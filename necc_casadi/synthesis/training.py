@@ -2,6 +2,8 @@
 
     ε = ‖∇V(z*)‖ + ReLU(−λ_min(∇²V(z*) − aI))                                   eq. Loss
 
+in natural units, in which aI may be any diagonal.
+
 *Lifting* (lifting.py). The 2-jets y of the networks at their inputs are decision
 variables, tied to the weights by y = jet(θ, ξ*): every other function is small, and the Jacobian
 has one dense row per entry of y.
@@ -47,10 +49,10 @@ from necc_casadi.interrupts import interruptible
 from necc_casadi.lyapunov.lyapunov import Terms
 from necc_casadi.lyapunov.networks import KAPPA_MIN
 from necc_casadi.lyapunov.parameterization import Form
+from necc_casadi.model.sizes import Sizes
 from necc_casadi.synthesis.lifting import Lifting
 from necc_casadi.synthesis.programs import Program, hard_program, soft_program, with_level
 from necc_casadi.synthesis.shaping import AffineRows, Shaping, moving_weights, sharper
-from necc_casadi.synthesis.units import Scales
 
 __all__ = ["STIFFER", "Anchor", "Penalty", "Solution", "train"]
 
@@ -71,7 +73,7 @@ SHAPED_XI_COST = 1e4
 STIFFER = 1.1
 
 
-#: A start whose ε is below this has solved the hard form.
+#: A start whose ε, in natural units, is below this has solved the hard form.
 SOLVED = 1e-9
 
 
@@ -153,8 +155,8 @@ def train(
     form: Form,
     x_star: Vector,
     *,
-    a: float,
-    scales: Scales,
+    a: float | Vector,
+    scales: Sizes,
     anchor: Anchor | None = None,
     extra: Penalty | Shaping | None = None,
     seed: int = 0,
@@ -176,9 +178,9 @@ def train(
     x_star
         Target (n,).
     a
-        Curvature asked of ∇²V(z*).
+        Curvature asked of ∇²V(z*), of every state or of each, (n + nc,).
     scales
-        Natural sizes; the published form is trained in the plant's own units.
+        Sizes of order one in natural units; the published form is trained in the plant's own.
     anchor
         Where training starts and what holds it there; later starts move away from its ξ*.
     extra
@@ -192,15 +194,16 @@ def train(
         Print IPOPT's iterations.
     """
     anchor = anchor or Anchor(np.zeros(terms.nc))
+    asked = np.broadcast_to(np.asarray(a, float), (terms.n + terms.nc,))
     lifting = Lifting(terms, form, np.asarray(x_star, float), scales, anchor.xi)
     results: list[tuple[Start, Vector, Vector]] = []
     plain = None if isinstance(extra, Shaping) else extra
     forms = [(hard_program, plain), (soft_program, plain)]
     for make, added in [(hard_program, extra), *forms] if extra is not plain else forms:
-        program = make(lifting, a, anchor.stiffness)
+        program = make(lifting, asked, anchor.stiffness)
         if program is None:
             continue
-        solver = _Solver(lifting, program, a, anchor, added, verbose)
+        solver = _Solver(lifting, program, asked, anchor, added, verbose)
         for index in range(starts):
             results.append(solver.run(seed + index, away=index > 0))
             if report is not None:
@@ -224,7 +227,7 @@ class _Solver:
         self,
         lifting: Lifting,
         program: Program,
-        a: float,
+        a: Vector,
         anchor: Anchor,
         extra: Penalty | Shaping | None,
         verbose: bool,

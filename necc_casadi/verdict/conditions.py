@@ -1,6 +1,10 @@
 """What eq. LocalMinimumCondition asks of a target: exact derivatives, gradient, curvature.
 
 With N = ∇ₓc(x*, ξ*) and W a basis of ker Nᵀ: ∇H + Nλ = 0 and Wᵀ∇²ₓ(H + Σ λᵢcᵢ)W ≻ 0.
+
+References
+----------
+Finsler (1937).
 """
 
 from __future__ import annotations
@@ -9,17 +13,21 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
+import numpy as np
 import sympy as sp
 
 from necc_casadi.casimirs.casimirs import Casimirs
 from necc_casadi.model.closed_loop import ClosedLoop
-from necc_casadi.symbolic.derivatives import at, gradient, sparse_hessian
+from necc_casadi.symbolic.definiteness import UNDECIDED, Definiteness
+from necc_casadi.symbolic.derivatives import at, column, gradient, sparse_hessian
 from necc_casadi.symbolic.expressions import is_finite
 from necc_casadi.symbolic.finite_field import NoFiniteFieldValue, values
+from necc_casadi.symbolic.floats import float_matrix
 from necc_casadi.symbolic.linear_algebra import has_rank, kernel, reduced_rows
 from necc_casadi.symbolic.modular import pivots
 from necc_casadi.symbolic.zero import is_zero, random_point, sign
 from necc_casadi.verdict.curvature import Curvature, best_curvature
+from necc_casadi.verdict.verdict import Reason
 
 __all__ = [
     "LocalConditions",
@@ -54,6 +62,11 @@ class TargetDerivatives:
         )
         return bool(free & set(self.xi))
 
+    @cached_property
+    def stiffness(self) -> float:
+        """The largest entry of ∇²H(x*), beside which curvatures are compared."""
+        return float(np.nan_to_num(np.abs(float_matrix(self.hess_H))).max()) or 1.0
+
     def fixed(self, xi_star: Sequence[sp.Expr]) -> TargetDerivatives:
         """The same data at one ξ*."""
         point = dict(zip(self.xi, xi_star, strict=True))
@@ -85,17 +98,25 @@ class LocalConditions:
     curvature: sp.ImmutableMatrix | None = None  # at `lam`
     best: Curvature | None = None
 
+    @classmethod
+    def unknown(cls, n: int) -> LocalConditions:
+        """Where nothing was evaluated."""
+        return cls(None, sp.ImmutableMatrix(sp.zeros(n, 0)), column([]), None)
+
     @property
-    def reason(self) -> str:
-        """Word for the first condition that fails (docs/contract.md#json), before completeness."""
+    def reason(self) -> Reason:
+        """The first condition that fails, before completeness of the Casimirs is considered."""
         if self.gradient is not True:
-            return "undecided" if self.gradient is None else "invisible_gradient"
-        kind = "undecided" if self.best is None else self.best.kind
-        return {
-            "positive": "ok",
-            "negative": "invisible_negative_curvature",
-            "flat": "invisible_flat_curvature",
-        }.get(kind, "undecided")
+            return UNDECIDED if self.gradient is None else "invisible_gradient"
+        return UNDECIDED if self.best is None else _REASONS[self.best.kind]
+
+
+_REASONS: dict[Definiteness, Reason] = {
+    "positive": "ok",
+    "flat": "invisible_flat_curvature",
+    "negative": "invisible_negative_curvature",
+    UNDECIDED: UNDECIDED,
+}
 
 
 def is_equilibrium(loop: ClosedLoop, point: Mapping[sp.Symbol, sp.Expr]) -> bool | None:
@@ -114,11 +135,11 @@ def target_data(
     plant, z = loop.plant, loop.z
     columns, hessians, used = [], [], []
     for index, c in enumerate(casimirs.functions):
-        column = at(gradient(c, z), point)
+        slope = at(gradient(c, z), point)
         hessian = at(sparse_hessian(c, plant.x), point)
-        entries = [*column, *hessian.todok().values()]
+        entries = [*slope, *hessian.todok().values()]
         if all(is_finite(e) for e in entries):
-            columns.append(column)
+            columns.append(slope)
             hessians.append(hessian)
             used.append(index)
     return TargetDerivatives(

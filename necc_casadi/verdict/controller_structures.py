@@ -16,6 +16,7 @@ turned by the same rates; on a Lie group q and ξ then stay at a constant distan
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import NamedTuple
 
 import sympy as sp
 
@@ -27,13 +28,19 @@ from necc_casadi.symbolic.linear_algebra import constant_kernel, reduced_rows
 from necc_casadi.verdict.judge import judge
 from necc_casadi.verdict.verdict import Verdict
 
-__all__ = ["complete_controller", "kinematic_copy", "suggest_controllers"]
+__all__ = ["Proposal", "complete_controller", "kinematic_copy", "suggest_controllers"]
 
 
-def suggest_controllers(
-    plant: Plant, x_star: Mapping[sp.Symbol, sp.Expr]
-) -> list[tuple[str, Controller, Verdict]]:
-    """Named structures that reach more at x* than the default integrators, best first.
+class Proposal(NamedTuple):
+    """A controller structure, what it is called, and what it reaches."""
+
+    name: str
+    controller: Controller
+    verdict: Verdict
+
+
+def suggest_controllers(plant: Plant, x_star: Mapping[sp.Symbol, sp.Expr]) -> list[Proposal]:
+    """Structures that reach more at x* than the default integrators, best first.
 
     A structure is listed if it makes the target assignable where the default does not, or leaves
     fewer invisible directions.
@@ -43,23 +50,17 @@ def suggest_controllers(
     if reference.reason == "not_an_equilibrium":
         return []
     proposals = [
-        (f"{_kind(c)} with {c.nc} states", c)
+        Proposal(f"{_kind(c)} with {c.nc} states", c, _judged(plant, c, x_star))
         for c in (complete_controller(plant), kinematic_copy(plant))
         if c is not None
     ]
-    judged = [(name, c, _judged(plant, c, x_star)) for name, c in proposals]
-    better = [t for t in judged if _merit(t[2]) > _merit(reference)]
-    return sorted(better, key=lambda t: _merit(t[2]), reverse=True)
+    better = [p for p in proposals if p.verdict.merit > reference.merit]
+    return sorted(better, key=lambda p: p.verdict.merit, reverse=True)
 
 
 def _judged(plant: Plant, controller: Controller, x_star: Mapping[sp.Symbol, sp.Expr]) -> Verdict:
     loop = interconnect(plant, controller)
     return judge(loop, find_casimirs(loop, (), x_star), x_star)
-
-
-def _merit(verdict: Verdict) -> tuple[int, int, int]:
-    answer = {True: 2, None: 1, False: 0}[verdict.assignable]
-    return answer, int(verdict.stability == "asymptotic"), -verdict.invisible.cols
 
 
 def _kind(controller: Controller) -> str:

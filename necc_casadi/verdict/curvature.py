@@ -1,7 +1,7 @@
 """Definiteness of symmetric constant matrices and of Q(τ) = Q₀ + Σ τᵢQᵢ, decided exactly.
 
 Floating point proposes (an eigenvector, a τ, a dual matrix), exact arithmetic or Arb balls
-decide. What cannot be decided is ``undecided``.
+decide.
 """
 
 from __future__ import annotations
@@ -13,21 +13,26 @@ import numpy as np
 import sympy as sp
 
 from necc_casadi.arrays import Vector
-from necc_casadi.symbolic.definiteness import definiteness, rational, to_float
+from necc_casadi.model.sizes import power_of_two
+from necc_casadi.symbolic.definiteness import UNDECIDED, Definiteness, definiteness, rational
+from necc_casadi.symbolic.floats import float_matrix
 from necc_casadi.symbolic.linear_algebra import kernel, reduced_rows
 from necc_casadi.symbolic.zero import is_zero, sign
 
-__all__ = ["Curvature", "Vector", "best_curvature"]
+__all__ = ["Curvature", "best_curvature"]
 
 
 _UNBOUNDED = 1e7  # a curvature beyond this multiple of the data is taken to have no ceiling
+
+
+_SIMPLER_FIRST = (1, 10, 1000, 10**6, 10**30)  # denominators of τ; the last keeps every digit
 
 
 @dataclass(frozen=True)
 class Curvature:
     """What was decided on Q(τ) over all τ."""
 
-    kind: str  # positive | flat | negative | undecided; of the best τ
+    kind: Definiteness  # of the best τ
     tau: tuple[sp.Expr, ...]  # (s,) exact; where kind is positive, Q(τ) ≻ 0 is proved
     ceiling: float | None  # sup of the least eigenvalue, None: unbounded
     direction: sp.ImmutableMatrix | None = None  # k × 1, where it is negative or flat
@@ -48,11 +53,11 @@ def best_curvature(
     """
     if Q0.rows == 0:
         return Curvature("positive", (sp.Integer(0),) * len(directions), None)
-    whiten = np.linalg.inv(np.linalg.cholesky(to_float(metric)))
+    whiten = np.linalg.inv(np.linalg.cholesky(float_matrix(metric)))
     zero = (sp.Integer(0),) * len(directions)
     if all(Q.is_zero_matrix for Q in directions):
         kind, vector = definiteness(Q0)
-        least = float(np.linalg.eigvalsh(whiten @ to_float(Q0) @ whiten.T)[0])
+        least = float(np.linalg.eigvalsh(whiten @ float_matrix(Q0) @ whiten.T)[0])
         return Curvature(kind, zero, least, vector, _along(Q0, vector))
     return _over_family(Q0, directions, whiten)
 
@@ -62,11 +67,15 @@ def _along(Q: sp.Matrix, vector: sp.MatrixBase | None) -> sp.Expr | None:
 
 
 def _over_family(Q0: sp.Matrix, directions: Sequence[sp.Matrix], whiten: Vector) -> Curvature:
-    numeric = [whiten @ to_float(Q) @ whiten.T for Q in (Q0, *directions)]
-    tau, ceiling, dual = _maximise_least_eigenvalue(numeric[0], numeric[1:])
+    numeric = [whiten @ float_matrix(Q) @ whiten.T for Q in (Q0, *directions)]
+    sizes = [power_of_two(float(np.abs(Q).max()) or 1.0) for Q in numeric]
+    scaled = [Q / size for Q, size in zip(numeric, sizes, strict=True)]
+    tau, ceiling, dual = _maximise_least_eigenvalue(scaled[0], scaled[1:])
+    tau = tau * sizes[0] / np.array(sizes[1:])
+    ceiling = None if ceiling is None else ceiling * sizes[0]
     proposals = [np.zeros(len(directions)), tau]
     for proposal in proposals:
-        for denominator in (1, 10, 1000, 10**6):
+        for denominator in _SIMPLER_FIRST:
             exact = tuple(rational(float(t), denominator) for t in proposal)
             kind, _ = definiteness(_member(Q0, directions, exact))
             if kind == "positive":
@@ -75,13 +84,14 @@ def _over_family(Q0: sp.Matrix, directions: Sequence[sp.Matrix], whiten: Vector)
     obstacle = _vector_obstacle(Q0, directions)
     if obstacle is not None:
         vector, value = obstacle
-        kind = "negative" if sign(value) == -1 else "flat"
-        if kind == "negative" or not _dual_obstacle(Q0, directions, whiten.T @ dual @ whiten):
-            return Curvature(kind, exact, ceiling, vector, value)
+        if sign(value) == -1:
+            return Curvature("negative", exact, ceiling, vector, value)
+        if not _dual_obstacle(Q0, directions, whiten.T @ dual @ whiten):
+            return Curvature("flat", exact, ceiling, vector, value)
         return Curvature("negative", exact, ceiling)
     if _dual_obstacle(Q0, directions, whiten.T @ dual @ whiten):
         return Curvature("negative", exact, ceiling)
-    return Curvature("undecided", exact, ceiling)
+    return Curvature(UNDECIDED, exact, ceiling)
 
 
 def _member(Q0: sp.Matrix, directions: Sequence[sp.Matrix], tau: Sequence[sp.Expr]) -> sp.Matrix:
@@ -140,7 +150,14 @@ def _inner(P: sp.Matrix, Q: sp.Matrix) -> sp.Expr:
 def _maximise_least_eigenvalue(
     Q0: Vector, directions: Sequence[Vector]
 ) -> tuple[Vector, float | None, Vector]:
-    """(τ, sup of λ_min(Q(τ)) or None where unbounded, dual Z with trace 1) by a barrier method."""
+    """(τ, sup of λ_min(Q(τ)) or None where unbounded, dual Z with trace 1) by a barrier method.
+
+    The matrices are given with entries of order 1.
+
+    References
+    ----------
+    Vandenberghe and Boyd (1996).
+    """
     size, Q = len(Q0), np.array(directions)
     data = max(1.0, float(np.abs(Q0).max()))
     tau, t = np.zeros(len(directions)), float(np.linalg.eigvalsh(Q0)[0]) - data
@@ -170,8 +187,9 @@ def _newton_step(dual: Vector, Q: Vector, mu: float) -> tuple[Vector, float]:
     gradient = np.array([np.trace(P) for P in parts])
     gradient[-1] += 1.0
     hessian = np.array([[np.sum(P * S.T) for S in parts] for P in parts]) / mu
-    hessian[:count, :count] += 1e-14 * np.eye(count)
-    step: Vector = np.asarray(np.linalg.lstsq(hessian, gradient, rcond=1e-13)[0], dtype=float)
+    # a direction of no curvature is followed, far, if the gradient points along it: no ceiling
+    hessian[:count, :count] += 1e-12 * np.diag(hessian).max() * np.eye(count)
+    step: Vector = np.asarray(np.linalg.lstsq(hessian, gradient, rcond=1e-15)[0], dtype=float)
     return step, float(gradient @ step)
 
 

@@ -11,8 +11,10 @@ from __future__ import annotations
 
 import random
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
 
-import flint
 import numpy as np
 import sympy as sp
 
@@ -21,127 +23,124 @@ from necc_casadi.symbolic.derivatives import at, gradient, sparse_hessian
 from necc_casadi.symbolic.finite_field import PRIMES, NoFiniteFieldValue, Residues
 from necc_casadi.symbolic.linear_algebra import generic_rank, has_rank, kernel
 from necc_casadi.symbolic.modular import null_basis, rational_rows
-from necc_casadi.symbolic.observability import (
-    as_balls,
-    certain_rank,
-    observability_matrix,
-    residues,
-)
+from necc_casadi.symbolic.observability import is_observable, observability_matrix
 from necc_casadi.symbolic.zero import is_zero
+from necc_casadi.verdict.verdict import ASYMPTOTIC, STABLE, Stability
 
-__all__ = ["reachable_stability"]
-
-
-_BITS = 1000
+__all__ = ["Assignment", "Reach", "reachable_stability"]
 
 
 _SMALL = 14  # states beyond which a state-dependent kernel is not computed
 
 
-def reachable_stability(
-    loop: ClosedLoop,
-    functions: Sequence[sp.Expr],
-    x_star: Mapping[sp.Symbol, sp.Expr],
-    xi_star: Sequence[sp.Expr],
-    lam: Sequence[sp.Expr],
-    directions: Sequence[sp.Matrix],
-) -> tuple[str | None, str | None]:
-    """(``asymptotic`` | ``stable`` | None, witness or what is missing).
+@dataclass(frozen=True, eq=False)
+class Assignment:
+    """A target z* = (x*, ξ*) and multipliers that assign it."""
 
-    Parameters
-    ----------
-    functions
-        Casimirs c.
-    lam
-        λ with ∇H + Nλ = 0 and positive curvature, at ξ*.
-    directions
-        Basis of {λ : Nλ = 0}; the witness must not depend on them.
-    """
-    silent = _undamped_casimir(loop, functions)
+    loop: ClosedLoop
+    functions: tuple[sp.Expr, ...]  # (r,) Casimirs c
+    x_star: Mapping[sp.Symbol, sp.Expr]
+    xi_star: tuple[sp.Expr, ...]  # (nc,)
+    lam: tuple[sp.Expr, ...]  # (r,) λ with ∇H + Nλ = 0 and positive curvature, at ξ*
+    directions: tuple[sp.Matrix, ...]  # basis of {λ : Nλ = 0}; a witness must not depend on them
+
+    @cached_property
+    def z_star(self) -> dict[sp.Symbol, sp.Expr]:
+        """Value of every state."""
+        return {**self.x_star, **dict(zip(self.loop.controller.xi, self.xi_star, strict=True))}
+
+    @cached_property
+    def damping(self) -> sp.Matrix:
+        """[Rcl 𝒢], (n + nc) × (n + nc + 2m): what takes energy out of a motion."""
+        return sp.Matrix.hstack(sp.Matrix(self.loop.R), sp.Matrix(self.loop.ports))
+
+    def energy(self, lam: Sequence[sp.Expr]) -> sp.Expr:
+        """H + λᵀc."""
+        weighted = [w * c for w, c in zip(lam, self.functions, strict=True) if w != 0]
+        return self.loop.plant.H + sp.Add(*weighted)
+
+
+class Reach(NamedTuple):
+    """The best stability within reach; where it is not asymptotic, what stands in the way."""
+
+    stability: Stability | None = None
+    witness: str | None = None
+
+
+def reachable_stability(target: Assignment) -> Reach:
+    """Which stability some damped V of the structure has at an assignable target."""
+    silent = _undamped_casimir(target)
     if silent is not None:
-        return "stable", f"the Casimir {silent} is untouched by every input: its value stays"
-    resting = _equilibrium_manifold(
-        loop, {**x_star, **dict(zip(loop.controller.xi, xi_star, strict=True))}
-    )
+        return Reach(STABLE, f"the Casimir {silent} is untouched by every input: its value stays")
+    resting = _equilibrium_manifold(target)
     if resting:
-        return "stable", (
+        return Reach(
+            STABLE,
             f"a {resting}-dimensional family of equilibria passes through the target, for every V: "
-            "ker Jcl ∩ ker Rcl ∩ ker 𝒢ᵀ is not zero"
+            "ker Jcl ∩ ker Rcl ∩ ker 𝒢ᵀ is not zero",
         )
-    at_target = _Linearisation(loop, functions, x_star, xi_star, lam)
+    linear = _Linearisation(target)
     for seed, prime in enumerate(PRIMES):
         try:
-            if len(at_target.silent_part(prime, (seed,))) == 0 and at_target.confirmed(seed):
-                return "asymptotic", None
-            modes = at_target.silent_modes(prime)
+            if len(linear.silent_part(prime, (seed,))) == 0 and linear.confirmed(seed):
+                return Reach(ASYMPTOTIC)
+            modes = linear.silent_modes(prime)
         except NoFiniteFieldValue:
             continue  # a root that occurs does not exist modulo this prime
         if modes is None:
             continue
         for plane in [modes, *[modes[:, k] for k in range(modes.cols) if modes.cols > 1]]:
-            family = _invariant_family(loop, functions, x_star, xi_star, lam, directions, plane)
-            if family is not None:
-                return "stable", family
+            if _stays_undamped(target, plane):
+                return Reach(STABLE, _motions(target, plane))
         break
-    return None, (
+    return Reach(
+        None,
         "the linearisation has a mode that neither dissipation nor damping injection touches; "
-        "whether nonlinear damping reaches it is not decided"
+        "whether nonlinear damping reaches it is not decided",
     )
 
 
-def _undamped_casimir(loop: ClosedLoop, functions: Sequence[sp.Expr]) -> sp.Expr | None:
-    for c in functions:
-        free = c.free_symbols
-        rate = [
-            sp.Add(*[loop.ports[i, j] * sp.diff(c, s) for i, s in enumerate(loop.z) if s in free])
-            for j in range(loop.ports.cols)
-        ]
-        if all(is_zero(entry) for entry in rate):
+def _undamped_casimir(target: Assignment) -> sp.Expr | None:
+    """A Casimir c with 𝒢ᵀ∇c ≡ 0."""
+    ports = sp.SparseMatrix(target.loop.ports).T
+    for c in target.functions:
+        if all(is_zero(entry) for entry in ports * gradient(c, target.loop.z)):
             return c
     return None
 
 
-def _equilibrium_manifold(loop: ClosedLoop, z_star: Mapping[sp.Symbol, sp.Expr]) -> int:
+def _equilibrium_manifold(target: Assignment) -> int:
     """Dimension of ker Jcl ∩ ker Rcl ∩ ker 𝒢ᵀ near z*, 0 where it is not proved to be constant.
 
     The states with ∇V in that kernel are equilibria of every damped loop; because ∇²V ≻ 0 and
     the kernel's dimension is constant near z*, they form a manifold of that dimension.
     """
+    loop = target.loop
     still = sp.Matrix.vstack(sp.Matrix(loop.M), sp.Matrix(loop.ports).T)
     free = still.free_symbols
     generic = loop.n - generic_rank(still)
     if generic == 0 or (free and loop.n > _SMALL):
         return 0
-    there = sp.Matrix(at(still, z_star)) if free else still
+    there = sp.Matrix(at(still, target.z_star)) if free else still
     if free and not has_rank(there, loop.n - generic):
         return 0
     return generic if kernel(still).cols == generic else 0
 
 
 class _Linearisation:
-    """J, Rcl, 𝒢 and the admissible Hessians at z*, over GF(p): full rank there is a proof.
+    """J, [Rcl 𝒢] and the admissible Hessians at z*, over GF(p): full rank there is a proof.
 
-    Irrational constants get the values of `specialise`; their algebraic relations survive.
+    Irrational constants get the values of `finite_field`; their algebraic relations survive.
     """
 
-    def __init__(
-        self,
-        loop: ClosedLoop,
-        functions: Sequence[sp.Expr],
-        x_star: Mapping[sp.Symbol, sp.Expr],
-        xi_star: Sequence[sp.Expr],
-        lam: Sequence[sp.Expr],
-    ) -> None:
-        z_star = {**x_star, **dict(zip(loop.controller.xi, xi_star, strict=True))}
-        self.n, self.plant_n = loop.n, loop.plant.n
+    def __init__(self, target: Assignment) -> None:
+        loop, z_star = target.loop, target.z_star
+        self.plant_n, self.nc = loop.plant.n, loop.controller.nc
         self.J = sp.Matrix(at(loop.J, z_star))
-        inputs = sp.Matrix.hstack(sp.Matrix(loop.R), sp.Matrix(loop.ports))
-        self.inputs = sp.Matrix(at(inputs, z_star))
-        gradients = [at(gradient(c, loop.z), z_star) for c in functions]
+        self.damping = sp.Matrix(at(target.damping, z_star))
+        gradients = [at(gradient(c, loop.z), z_star) for c in target.functions]
         self.grad_c = sp.Matrix.hstack(*gradients) if gradients else None
-        weighted = [w * c for w, c in zip(lam, functions, strict=True) if w != 0]
-        energy = loop.plant.H + sp.Add(*weighted)
-        self.base = sp.Matrix(at(sparse_hessian(energy, loop.z), z_star))
+        self.base = sp.Matrix(at(sparse_hessian(target.energy(target.lam), loop.z), z_star))
 
     def hessian(self, seed: int) -> sp.Matrix:
         """A random ∇²V(z*) = ∇²(H + Σλc) + ∇c S ∇cᵀ + ∇²Hc with S and ∇²Hc large and rational."""
@@ -150,8 +149,7 @@ class _Linearisation:
         if self.grad_c is not None:
             S = _random_positive(self.grad_c.cols, rng)
             P += sp.Matrix(sp.SparseMatrix(self.grad_c) * S * sp.SparseMatrix(self.grad_c).T)
-        nc = self.n - self.plant_n
-        P[self.plant_n :, self.plant_n :] += _random_positive(nc, rng) * 7
+        P[self.plant_n :, self.plant_n :] += _random_positive(self.nc, rng) * 7
         return P
 
     def silent_part(self, prime: int, seeds: Sequence[int]) -> Residues:
@@ -160,29 +158,14 @@ class _Linearisation:
         The unobservable subspace of (JP, [Rcl 𝒢]ᵀP), common to the random P of all `seeds`. An
         empty one proves that a P with an observable pair exists.
         """
-        rows = []
-        for seed in seeds:
-            J, B, P = (
-                residues(matrix, prime) for matrix in (self.J, self.inputs, self.hessian(seed))
-            )
-            rows.append(observability_matrix(J * P, B.transpose() * P, prime))
+        rows = [
+            observability_matrix(self.J, self.damping, self.hessian(seed), prime) for seed in seeds
+        ]
         return null_basis(np.concatenate(rows), prime)
 
     def confirmed(self, seed: int) -> bool:
-        """Whether observability over GF(p) is proved for the real matrices of one P.
-
-        For rational entries full rank over GF(p) is a proof. For others GF(p) may miss a relation
-        between constants, so that Arb balls have to find n certain pivots.
-        """
-        matrices = (self.J, self.inputs, self.hessian(seed))
-        if all(e.is_Rational for matrix in matrices for e in matrix.todok().values()):
-            return True
-        previous, flint.ctx.prec = flint.ctx.prec, _BITS
-        try:
-            J, B, P = (as_balls(matrix) for matrix in matrices)
-            return certain_rank(J * P, B.transpose() * P) == self.n
-        finally:
-            flint.ctx.prec = previous
+        """Whether observability over GF(p) is proved for the real matrices of one P."""
+        return is_observable(self.J, self.damping, self.hessian(seed))
 
     def silent_modes(self, prime: int) -> sp.Matrix | None:
         """Plant directions of the motions that are silent for two random V, n × k, or None."""
@@ -203,48 +186,45 @@ def _random_positive(size: int, rng: random.Random) -> sp.Matrix:
     return S
 
 
-def _invariant_family(
-    loop: ClosedLoop,
-    functions: Sequence[sp.Expr],
-    x_star: Mapping[sp.Symbol, sp.Expr],
-    xi_star: Sequence[sp.Expr],
-    lam: Sequence[sp.Expr],
-    directions: Sequence[sp.Matrix],
-    modes: sp.Matrix,
-) -> str | None:
-    """The plane z* + modes, if every V keeps it invariant and undamped; in words.
+def _stays_undamped(target: Assignment, modes: sp.Matrix) -> bool:
+    """Whether every V keeps the plane z* + modes (n × k) invariant and undamped.
 
     Along the plane ξ = ξ* and every Casimir is constant, so ∇V is Φ₁∇(H + λᵀc) less its value in
     ξ at z*, whatever K, Hc and Φ are. On it 𝒢ᵀ∇V and Rcl∇V must vanish and M∇V be tangent.
     """
-    plant, xi = loop.plant, dict(zip(loop.controller.xi, xi_star, strict=True))
-    tau = sp.symbols(f"_tau0:{len(directions)}", real=True)
-    weights = list(lam)
-    for t, d in zip(tau, directions, strict=True):
-        weights = [w + t * e for w, e in zip(weights, d, strict=True)]
-    s = sp.symbols(f"_s0:{modes.cols}", real=True)
-    plane = {
-        v: x_star[v] + sp.Add(*[modes[i, k] * s[k] for k in range(modes.cols)])
-        for i, v in enumerate(plant.x)
+    loop, n = target.loop, target.loop.plant.n
+    s = sp.symbols([f"_s{k}" for k in range(modes.cols)], real=True)
+    on_plane = target.z_star | {
+        v: target.x_star[v] + sp.Add(*[modes[i, k] * s[k] for k in range(modes.cols)])
+        for i, v in enumerate(loop.plant.x)
     }
-    on_plane = {**plane, **xi}
-    for c in functions:
+    for c in target.functions:
         if any(is_zero(sp.diff(c.subs(on_plane, simultaneous=True), v)) is not True for v in s):
-            return None
-    W = plant.H + sp.Add(*[w * c for w, c in zip(weights, functions, strict=True)])
-    slope = sp.Matrix([sp.diff(W, v) for v in loop.z])
-    start = {**x_star, **xi}
-    for i in range(plant.n, loop.n):
-        slope[i] -= slope[i].subs(start, simultaneous=True)
-    gradient = slope.subs(on_plane, simultaneous=True)
-    damping = sp.Matrix.hstack(sp.Matrix(loop.R), sp.Matrix(loop.ports))
-    damped = damping.subs(on_plane, simultaneous=True).T * gradient
-    motion = loop.M.subs(on_plane, simultaneous=True) * gradient
+            return False
+    slope = sp.Matrix(gradient(target.energy(_every_lambda(target)), loop.z))
+    for i in range(n, loop.n):
+        slope[i] -= slope[i].subs(target.z_star, simultaneous=True)
+    there = slope.subs(on_plane, simultaneous=True)
+    damped = target.damping.subs(on_plane, simultaneous=True).T * there
+    motion = sp.Matrix(loop.M).subs(on_plane, simultaneous=True) * there
     normal = kernel(modes.T).T
-    leaving = [*(normal * motion[: plant.n, :]), *motion[plant.n :, :], *damped]
-    if not all(is_zero(entry) is True for entry in leaving):
-        return None
+    leaving = [*(normal * motion[:n, :]), *motion[n:, :], *damped]
+    return all(is_zero(entry) is True for entry in leaving)
+
+
+def _every_lambda(target: Assignment) -> list[sp.Expr]:
+    """λ + Σ τᵢdᵢ, (r,), with symbols τ for what the gradient leaves free."""
+    lam = list(target.lam)
+    for k, d in enumerate(target.directions):
+        tau = sp.Symbol(f"_tau{k}", real=True)
+        lam = [w + tau * e for w, e in zip(lam, d, strict=True)]
+    return lam
+
+
+def _motions(target: Assignment, modes: sp.Matrix) -> str:
     moving = [
-        str(v) for i, v in enumerate(plant.x) if any(modes[i, k] != 0 for k in range(modes.cols))
+        str(v)
+        for i, v in enumerate(target.loop.plant.x)
+        if any(modes[i, k] != 0 for k in range(modes.cols))
     ]
     return f"motions of {', '.join(moving[:6])} that no input and no dissipation touches"

@@ -1,4 +1,9 @@
-"""The verdict in plain words: what fails, which coordinate, what would help."""
+"""The verdict in plain words: what fails, which coordinate, what would help.
+
+References
+----------
+Ortega, van der Schaft, Mareels and Maschke (2001), the dissipation obstacle.
+"""
 
 from __future__ import annotations
 
@@ -8,10 +13,15 @@ import sympy as sp
 
 from necc_casadi.casimirs.casimirs import Casimirs
 from necc_casadi.model.closed_loop import ClosedLoop
+from necc_casadi.symbolic.definiteness import UNDECIDED
+from necc_casadi.symbolic.derivatives import at, value_at
 from necc_casadi.symbolic.expressions import is_finite
+from necc_casadi.symbolic.floats import to_float
 from necc_casadi.symbolic.linear_algebra import generic_rank, kernel
 from necc_casadi.symbolic.zero import is_zero
 from necc_casadi.verdict.conditions import LocalConditions, TargetDerivatives
+from necc_casadi.verdict.detectability import Reach
+from necc_casadi.verdict.verdict import STABLE, Reason, assignable
 
 __all__ = ["direction_name", "explain"]
 
@@ -24,17 +34,16 @@ def explain(
     casimirs: Casimirs,
     x_star: Mapping[sp.Symbol, sp.Expr],
     data: TargetDerivatives,
-    reason: str,
+    reason: Reason,
     local: LocalConditions,
-    stability: str | None,
-    witness: str | None,
+    reach: Reach,
 ) -> str:
     """One or two sentences for an engineer."""
     if reason == "not_an_equilibrium":
         return _off_equilibrium(loop, x_star)
     if reason == "ok":
-        return _accepted(loop, casimirs, local, stability, witness)
-    if reason == "undecided":
+        return _accepted(casimirs, local, reach)
+    if reason == UNDECIDED:
         return _undecided(loop, casimirs, data, local)
     fault, w = _failure(loop, casimirs, local)
     if reason == "needs_decreasing_phi":
@@ -45,7 +54,7 @@ def explain(
     return f"{fault}: {_consequence(reason)} {_remedy(loop, x_star, w)}"
 
 
-def _consequence(reason: str) -> str:
+def _consequence(reason: Reason) -> str:
     if reason == "invisible_flat_curvature":
         return "no choice of K and Hc makes ∇²V positive definite here."
     return "no choice of K and Hc with Φ₁ > 0 asymptotically stabilises this target."
@@ -54,7 +63,7 @@ def _consequence(reason: str) -> str:
 def _off_equilibrium(loop: ClosedLoop, x_star: Mapping[sp.Symbol, sp.Expr]) -> str:
     values = []
     for equation in loop.plant.equilibrium_equations:
-        value = equation.subs({s: x_star[s] for s in equation.free_symbols})
+        value = value_at(equation, x_star)
         if is_zero(value) is not True:
             values.append(f"{short(equation)} = {number(value)}, which must be 0")
     detail = "; ".join(values[:2]) or "G⊥(J − R)∇H ≠ 0"
@@ -64,23 +73,17 @@ def _off_equilibrium(loop: ClosedLoop, x_star: Mapping[sp.Symbol, sp.Expr]) -> s
     )
 
 
-def _accepted(
-    loop: ClosedLoop,
-    casimirs: Casimirs,
-    local: LocalConditions,
-    stability: str | None,
-    witness: str | None,
-) -> str:
+def _accepted(casimirs: Casimirs, local: LocalConditions, reach: Reach) -> str:
     through = f" through {_casimir_list(casimirs)}" if casimirs.functions else " without a Casimir"
     text = f"assignable{through}"
     ceiling = local.best.ceiling if local.best is not None else None
     if ceiling is not None and local.invisible.cols:
         text += f"; with Φ₁ = 1 the Hessian's least eigenvalue stays below {ceiling:.4g}"
     text += "."
-    if stability == "stable":
-        text += f" Only stable, not asymptotically: {witness}."
-    elif stability is None and witness:
-        text += f" Asymptotic stability is not decided: {witness}."
+    if reach.stability == STABLE:
+        text += f" Only stable, not asymptotically: {reach.witness}."
+    elif reach.stability is None and reach.witness:
+        text += f" Asymptotic stability is not decided: {reach.witness}."
     return text
 
 
@@ -106,7 +109,7 @@ def _undecided(
             "the Casimirs' gradients are dependent at the target or depend on ξ*, so a refusal "
             "would not be proved. Supply other forms (casimirs = [...]) or move the target."
         )
-    if local.reason not in ("undecided", "ok"):
+    if assignable(local.reason) is False:
         fault, _ = _failure(loop, casimirs, local)
         return f"{fault}, but {cause}"
     return f"not decided: {cause}"
@@ -149,7 +152,7 @@ def _remedy(loop: ClosedLoop, x_star: Mapping[sp.Symbol, sp.Expr], w: sp.MatrixB
     if obstacle:
         return obstacle
     name = direction_name(loop.plant.x, w)
-    G = loop.plant.G.subs({s: x_star[s] for s in loop.plant.G.free_symbols})
+    G = at(loop.plant.G, x_star)
     if generic_rank(sp.Matrix(G).row_join(sp.Matrix(w))) == loop.plant.m:
         return (
             f"An input acts on {name}, but no Casimir ties it to the controller: try another "
@@ -166,8 +169,7 @@ def _dissipation_obstacle(
     if loop.R.is_zero_matrix:
         return None
     point = {**x_star, **{s: sp.Rational(3, 7) for s in loop.controller.xi}}
-    J = loop.J.subs({s: v for s, v in point.items() if s in loop.J.free_symbols})
-    R = loop.R.subs({s: v for s, v in point.items() if s in loop.R.free_symbols})
+    J, R = at(loop.J, point), at(loop.R, point)
     lossless = kernel(sp.Matrix(J))
     n = loop.plant.n
     for k in range(lossless.cols):
@@ -199,8 +201,8 @@ def direction_name(x: Sequence[sp.Symbol], w: sp.MatrixBase) -> str:
     parts = [(x[i], w[i]) for i in range(len(x)) if w[i] != 0]
     if len(parts) == 1:
         return str(parts[0][0])
-    lead = max(abs(float(sp.N(value))) for _, value in parts)
-    terms = [(s, float(sp.N(value)) / lead) for s, value in parts]
+    lead = max(abs(to_float(value)) for _, value in parts)
+    terms = [(s, to_float(value) / lead) for s, value in parts]
     shown = [_term(s, value) for s, value in terms if abs(value) > 1e-3][:_MOST_NAMES]
     more = " + …" if len(parts) > _MOST_NAMES else ""
     return "the direction " + " + ".join(shown).replace("+ -", "- ") + more
@@ -213,7 +215,7 @@ def _term(s: sp.Symbol, value: float) -> str:
 
 def number(value: sp.Expr | None) -> str:
     """A constant to four digits."""
-    return "?" if value is None else f"{float(sp.N(value)):.4g}"
+    return "?" if value is None else f"{to_float(value):.4g}"
 
 
 def short(expr: sp.Expr) -> str:

@@ -1,4 +1,4 @@
-"""Verdict at a target, before any training: whether ∇V = 0 and ∇²V ≻ 0 can be assigned there.
+"""Verdict at a target, before any training: whether eq. LocalMinimumCondition can be assigned.
 
 With N = ∇ₓc(x*, ξ*) for the Casimirs c and W a basis of ker Nᵀ, the target is assignable iff for
 some (ξ*, λ)
@@ -14,12 +14,14 @@ function of those in hand; otherwise it is undecided.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from math import inf
 
 import sympy as sp
 
 from necc_casadi.casimirs.casimirs import Casimirs
 from necc_casadi.model.closed_loop import ClosedLoop
+from necc_casadi.symbolic.definiteness import UNDECIDED, Definiteness
 from necc_casadi.symbolic.derivatives import column
 from necc_casadi.symbolic.zero import is_zero, random_point, sign
 from necc_casadi.verdict.conditions import (
@@ -32,9 +34,9 @@ from necc_casadi.verdict.conditions import (
     target_data,
 )
 from necc_casadi.verdict.curvature import Curvature
-from necc_casadi.verdict.detectability import reachable_stability
+from necc_casadi.verdict.detectability import Assignment, Reach, reachable_stability
 from necc_casadi.verdict.explanation import explain
-from necc_casadi.verdict.verdict import Verdict
+from necc_casadi.verdict.verdict import Merit, Reason, Verdict, assignable
 
 __all__ = ["judge"]
 
@@ -43,6 +45,28 @@ _XI_TRIES = 12
 
 
 _XI_ROUNDS = 8
+
+
+_CEILING_DIGITS = 9  # beside the largest entry of ∇²H: what is closer is one ceiling
+
+
+@dataclass(frozen=True, eq=False)
+class _Question:
+    """A target of a loop, and what is known there."""
+
+    loop: ClosedLoop
+    casimirs: Casimirs
+    point: Mapping[sp.Symbol, sp.Expr]  # x*
+    data: TargetDerivatives
+
+
+@dataclass(frozen=True, eq=False)
+class _Tried:
+    """The conditions at one ξ*."""
+
+    xi: tuple[sp.Expr, ...]
+    local: LocalConditions
+    merit: Merit
 
 
 def judge(loop: ClosedLoop, casimirs: Casimirs, x_star: Mapping[sp.Symbol, sp.Expr]) -> Verdict:
@@ -75,53 +99,62 @@ def judge(loop: ClosedLoop, casimirs: Casimirs, x_star: Mapping[sp.Symbol, sp.Ex
     'not_an_equilibrium'
     """
     point = {s: sp.sympify(x_star[s]) for s in loop.plant.x}
+    question = _Question(loop, casimirs, point, target_data(loop, casimirs, point))
     balance = is_equilibrium(loop, point)
-    data = target_data(loop, casimirs, point)
     if balance is not True:
-        reason = "undecided" if balance is None else "not_an_equilibrium"
-        local = LocalConditions(
-            None, sp.ImmutableMatrix(sp.zeros(loop.plant.n, 0)), column([]), None
-        )
-        return _verdict(loop, casimirs, point, data, reason, local, None)
-    if data.depends_on_xi:
-        return _judge_over_xi(loop, casimirs, point, data)
-    local = local_conditions(data)
+        return _verdict(question, UNDECIDED if balance is None else "not_an_equilibrium")
+    if question.data.depends_on_xi:
+        return _judge_over_xi(question)
+    local = local_conditions(question.data)
     reason = local.reason
-    if reason not in ("ok", "undecided"):
-        if not _all_casimirs_visible(data, loop, casimirs):
-            reason = "undecided"
-        elif reason == "invisible_negative_curvature" and _decreasing_phi_works(data, loop, local):
+    if assignable(reason) is False:
+        if not _all_casimirs_visible(question):
+            reason = UNDECIDED
+        elif reason == "invisible_negative_curvature" and _decreasing_phi_works(question, local):
             reason = "needs_decreasing_phi"
-    return _verdict(loop, casimirs, point, data, reason, local, None)
+    return _verdict(question, reason, local)
 
 
 def _verdict(
-    loop: ClosedLoop,
-    casimirs: Casimirs,
-    point: Mapping[sp.Symbol, sp.Expr],
-    data: TargetDerivatives,
-    reason: str,
-    local: LocalConditions,
-    xi_star: tuple[sp.Expr, ...] | None,
+    question: _Question,
+    reason: Reason,
+    local: LocalConditions | None = None,
+    xi_star: tuple[sp.Expr, ...] | None = None,
 ) -> Verdict:
+    local = local or LocalConditions.unknown(question.loop.plant.n)
     accepted = reason == "ok"
-    stability, witness = None, None
-    if accepted and local.lam is not None:
-        xi = xi_star or tuple(sp.Rational(k + 1, 7) for k in range(loop.controller.nc))
-        stability, witness = reachable_stability(
-            loop, casimirs.functions, point, xi, _all_lambdas(data, local), local.directions
-        )
+    reach = _reach(question, local, xi_star) if accepted else Reach()
     return Verdict(
-        assignable=True if accepted else None if reason == "undecided" else False,
+        assignable=assignable(reason),
         reason=reason,
-        explanation=explain(loop, casimirs, point, data, reason, local, stability, witness),
-        lam=_all_lambdas(data, local) if local.lam is not None else None,
+        explanation=explain(
+            question.loop, question.casimirs, question.point, question.data, reason, local, reach
+        ),
+        lam=_all_lambdas(question.data, local) if local.lam is not None else None,
         xi_star=xi_star,
         invisible=local.invisible,
         curvature=local.curvature,
         a_max=local.best.ceiling if accepted and local.best is not None else None,
-        stability=stability,
-        witness=witness,
+        stability=reach.stability,
+        witness=reach.witness,
+    )
+
+
+def _reach(
+    question: _Question, local: LocalConditions, xi_star: tuple[sp.Expr, ...] | None
+) -> Reach:
+    if local.lam is None:
+        return Reach()
+    loop = question.loop
+    return reachable_stability(
+        Assignment(
+            loop=loop,
+            functions=question.casimirs.functions,
+            x_star=question.point,
+            xi_star=xi_star or tuple(sp.Rational(k + 1, 7) for k in range(loop.controller.nc)),
+            lam=_all_lambdas(question.data, local),
+            directions=local.directions,
+        )
     )
 
 
@@ -133,91 +166,83 @@ def _all_lambdas(data: TargetDerivatives, local: LocalConditions) -> tuple[sp.Ex
     return tuple(full)
 
 
-def _all_casimirs_visible(data: TargetDerivatives, loop: ClosedLoop, casimirs: Casimirs) -> bool:
+def _all_casimirs_visible(question: _Question) -> bool:
     """Whether rank ∇c(x*, ξ) is proved to be the number of Casimirs that exist, for every ξ."""
+    data, casimirs = question.data, question.casimirs
     if not casimirs.count_proved or len(data.used) < casimirs.generic_count:
         return False
-    wanted = casimirs.generic_count
-    if wanted == 0:
-        return True
-    return independent_at_every_xi(sp.Matrix(data.grad_c))
+    return casimirs.generic_count == 0 or independent_at_every_xi(sp.Matrix(data.grad_c))
 
 
-def _decreasing_phi_works(
-    data: TargetDerivatives, loop: ClosedLoop, local: LocalConditions
-) -> bool:
+def _decreasing_phi_works(question: _Question, local: LocalConditions) -> bool:
     """Whether Φ₁ < 0 assigns the target: Rcl ≡ 0 and negative definite curvature for some λ."""
-    if not loop.R.is_zero_matrix or local.lam is None:
+    if not question.loop.R.is_zero_matrix or local.lam is None:
         return False
+    data = question.data
     opposite = replace(data, grad_H=-data.grad_H, hess_H=-data.hess_H)
     return local_conditions(opposite).reason == "ok"
 
 
-def _judge_over_xi(
-    loop: ClosedLoop,
-    casimirs: Casimirs,
-    point: Mapping[sp.Symbol, sp.Expr],
-    data: TargetDerivatives,
-) -> Verdict:
+def _judge_over_xi(question: _Question) -> Verdict:
     """The verdict where N or the Casimirs' curvature depends on ξ*: some ξ* has to work."""
-    best = _best_xi(data)
+    best = _best_xi(question.data)
     if best is None:
-        local = LocalConditions(
-            None, sp.ImmutableMatrix(sp.zeros(loop.plant.n, 0)), column([]), None
-        )
-        return _verdict(loop, casimirs, point, data, "undecided", local, None)
-    local, xi = best
-    if local.reason == "ok":
-        return _verdict(loop, casimirs, point, data.fixed(xi), "ok", local, xi)
-    refused = _refused_for_all_xi(data, loop, casimirs)
+        return _verdict(question, UNDECIDED)
+    there = replace(question, data=question.data.fixed(best.xi))
+    if best.local.reason == "ok":
+        return _verdict(there, "ok", best.local, best.xi)
+    refused = _refused_for_all_xi(question)
     if refused is not None:
-        return _verdict(loop, casimirs, point, data, refused[0], refused[1], None)
-    return _verdict(loop, casimirs, point, data.fixed(xi), "undecided", local, xi)
+        return _verdict(question, refused.reason, refused)
+    return _verdict(there, UNDECIDED, best.local, best.xi)
 
 
-def _best_xi(data: TargetDerivatives) -> tuple[LocalConditions, tuple[sp.Expr, ...]] | None:
+def _best_xi(data: TargetDerivatives) -> _Tried | None:
     """The ξ* with the best conditions: simple and random values, then a pattern search.
 
     The ceiling a_max is a supremum over ξ* as well; what is found is approached from below.
     """
-    best: tuple[LocalConditions, tuple[sp.Expr, ...]] | None = None
+    best: _Tried | None = None
     for xi_star in _candidates(data):
-        local = _conditions_at(data, xi_star)
-        if local is None:
+        tried = _tried(data, xi_star)
+        if tried is None:
             continue
-        if best is not None and local.reason == "ok" and _merit(local) == _merit(best[0]):
+        if best is not None and tried.local.reason == "ok" and tried.merit == best.merit:
             return best  # the ceiling does not depend on ξ*
-        if best is None or _merit(local) > _merit(best[0]):
-            best = (local, xi_star)
+        if best is None or tried.merit > best.merit:
+            best = tried
+    if best is None or best.local.reason != "ok":
+        return best
     step: sp.Expr = sp.Rational(1, 2)
-    for _ in range(_XI_ROUNDS if best is not None and best[0].reason == "ok" else 0):
-        better = _neighbour(data, best, step) if best is not None else None
-        best, step = (better, step) if better is not None else (best, step / 4)
+    for _ in range(_XI_ROUNDS):
+        better = _neighbour(data, best, step)
+        best, step = (best, step / 4) if better is None else (better, step)
     return best
 
 
-def _neighbour(
-    data: TargetDerivatives, best: tuple[LocalConditions, tuple[sp.Expr, ...]], step: sp.Expr
-) -> tuple[LocalConditions, tuple[sp.Expr, ...]] | None:
+def _neighbour(data: TargetDerivatives, best: _Tried, step: sp.Expr) -> _Tried | None:
     """A ξ* one step along an axis with better conditions, or None."""
     for k in range(len(data.xi)):
         for change in (step, -step):
-            moved = (*best[1][:k], best[1][k] + change, *best[1][k + 1 :])
-            local = _conditions_at(data, moved)
-            if local is not None and _merit(local) > _merit(best[0]):
-                return local, moved
+            tried = _tried(data, (*best.xi[:k], best.xi[k] + change, *best.xi[k + 1 :]))
+            if tried is not None and tried.merit > best.merit:
+                return tried
     return None
 
 
-def _conditions_at(data: TargetDerivatives, xi_star: tuple[sp.Expr, ...]) -> LocalConditions | None:
+def _tried(data: TargetDerivatives, xi_star: tuple[sp.Expr, ...]) -> _Tried | None:
+    """None where the conditions are not finite."""
     fixed = data.fixed(xi_star)
-    return local_conditions(fixed) if fixed.finite else None
-
-
-def _merit(local: LocalConditions) -> tuple[int, float]:
-    order = {"ok": 3, "undecided": 2, "invisible_flat_curvature": 1}
-    ceiling = local.best.ceiling if local.best is not None else -1e300
-    return order.get(local.reason, 0), 1e300 if ceiling is None else round(ceiling, 9)
+    if not fixed.finite:
+        return None
+    local = local_conditions(fixed)
+    if local.best is None:
+        ceiling = -inf
+    elif local.best.ceiling is None:
+        ceiling = inf
+    else:
+        ceiling = round(local.best.ceiling / data.stiffness, _CEILING_DIGITS)
+    return _Tried(xi_star, local, Merit.of(local.reason, ceiling))
 
 
 def _candidates(data: TargetDerivatives) -> list[tuple[sp.Expr, ...]]:
@@ -233,34 +258,32 @@ def _candidates(data: TargetDerivatives) -> list[tuple[sp.Expr, ...]]:
     return [*simple, *short]
 
 
-def _refused_for_all_xi(
-    data: TargetDerivatives, loop: ClosedLoop, casimirs: Casimirs
-) -> tuple[str, LocalConditions] | None:
+def _refused_for_all_xi(question: _Question) -> LocalConditions | None:
     """A refusal that holds for every ξ: a direction w that no Casimir sees, at any ξ.
 
     Along such a w the slope of H, or its curvature where no Casimir curves along w either,
     cannot be changed.
     """
-    if not _all_casimirs_visible(data, loop, casimirs):
+    if not _all_casimirs_visible(question):
         return None
-    n = len(data.x)
-    N = sp.Matrix(data.grad_c)[:n, :]
+    data = question.data
+    N = sp.Matrix(data.grad_c)[: len(data.x), :]
     never = sp.ImmutableMatrix(constant_annihilator(N, data.xi))
     slope = sp.ImmutableMatrix(never.T * data.grad_H)
     if any(is_zero(entry) is False for entry in slope):
-        return "invisible_gradient", LocalConditions(False, never, slope, None)
+        return LocalConditions(False, never, slope, None)
     straight = [
         j
         for j in range(never.cols)
         if all(is_zero((never[:, j].T * Q * never[:, j])[0]) for Q in data.hess_c)
     ]
-    for kind, wanted in (("negative", -1), ("flat", 0)):
+    kinds: dict[Definiteness, int] = {"negative": -1, "flat": 0}
+    for kind, wanted in kinds.items():
         for j in straight:
             w = never[:, j]
             value = (w.T * data.hess_H * w)[0] / (w.T * w)[0]
             if sign(value) == wanted:
                 unit = column([sp.Integer(i == j) for i in range(never.cols)])
                 worst = Curvature(kind, (), None, unit, value)
-                local = LocalConditions(True, never, slope, None, best=worst)
-                return local.reason, local
+                return LocalConditions(True, never, slope, None, best=worst)
     return None

@@ -14,7 +14,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from necc_casadi.casimirs.find import find_casimirs
-from necc_casadi.casimirs.involution import closure, lie_bracket
 from necc_casadi.errors import ModelError
 from necc_casadi.model.closed_loop import interconnect
 from necc_casadi.model.controller import default_controller
@@ -243,12 +242,3 @@ def test_counts_do_not_depend_on_coordinates(plant):
     assert (first.kernel_rank, first.generic_count) == (second.kernel_rank, second.generic_count)
     assert second.complete
     assert conserved(there, second.functions) < 1e-8
-
-
-def test_closure_contains_the_brackets():
-    """Heisenberg: [∂x − y/2 ∂t, ∂y + x/2 ∂t] = ∂t makes the closure three-dimensional."""
-    x, y, t = sp.symbols("x y t", real=True)
-    f, g = (sp.Integer(1), sp.Integer(0), -y / 2), (sp.Integer(0), sp.Integer(1), x / 2)
-    assert lie_bracket(f, g, (x, y, t)) == (0, 0, 1)
-    fields, complete = closure(sp.Matrix([f, g]).T, (x, y, t), 3)
-    assert (len(fields), complete) == (3, True)

@@ -5,7 +5,7 @@ import pytest
 import sympy as sp
 from helpers.problems import solve
 
-from necc_casadi.designs.error_bound import loss
+from necc_casadi.designs.error_bound import loss, published_bound
 from necc_casadi.simulation.responses import simulate
 from necc_casadi.synthesis.options import paper_options
 
@@ -37,11 +37,18 @@ def test_equilibrium_assignment_beats_the_published_figures(paper_design):
     distance = np.linalg.norm(paper_design.z_bar - paper_design.z_star)
     assert epsilon <= 1e-9 < 0.0050
     assert distance <= 1e-8 < 0.0082
-    assert distance <= epsilon / (0.5 - epsilon) + 4e-16
+    assert distance <= published_bound(epsilon, 0.5) + 4e-16
 
 
 def test_the_published_bound_on_its_own_numbers():
-    assert pytest.approx(0.0101, abs=5e-5) == 0.0050 / (0.5 - 0.0050)
+    assert published_bound(0.0050, 0.5) == pytest.approx(0.0101, abs=5e-5)
+    assert published_bound(0.0, 0.5) == 0.0
+
+
+def test_there_is_no_published_bound_from_the_curvature_on():
+    """At ε = a the expression has its pole, beyond it is negative."""
+    assert published_bound(0.5, 0.5) is None
+    assert published_bound(0.6, 0.5) is None
 
 
 def test_ten_responses_converge(paper_design):

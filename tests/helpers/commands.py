@@ -12,6 +12,9 @@ from necc_casadi.cli.terminal import run
 DESIGN = "from necc_casadi.cli.design import design_command; design_command()"
 
 
+CERTIFY = "from necc_casadi.cli.certify import certify_command; certify_command()"
+
+
 SIMULATE = "from necc_casadi.cli.simulate import simulate_command; simulate_command()"
 
 

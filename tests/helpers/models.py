@@ -1,5 +1,7 @@
 """Model files in text: a sound one, and one of each fault."""
 
+from pathlib import Path
+
 BASE = """
 import sympy as sp
 q, p = sp.symbols("q p", real=True)
@@ -94,3 +96,10 @@ FAULTS_AT_TARGET = [
     ("r_not_psd", "R = sp.diag(0, sp.cos(3 * p) + sp.exp(-q**2))", "pi/4,0", "at p ="),
     ("g_rank", "G = sp.Matrix([0, q])", "0,0", "q = 0"),
 ]
+
+
+def model(folder, text="") -> Path:
+    """A model file in a folder: the base, and what overrides it."""
+    path = folder / "plant.py"
+    path.write_text(BASE + text + "\n", encoding="utf-8")
+    return path

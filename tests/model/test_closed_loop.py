@@ -1,12 +1,9 @@
 """Closed loop: the interconnection, derived a second time from the two systems' equations."""
 
-import numpy as np
-import pytest
 import sympy as sp
 
-from necc_casadi.errors import ModelError
 from necc_casadi.model.closed_loop import interconnect
-from necc_casadi.model.controller import default_controller, make_controller
+from necc_casadi.model.controller import make_controller
 
 
 def test_interconnection_is_what_substitution_gives(crane):
@@ -33,43 +30,7 @@ def test_interconnection_is_what_substitution_gives(crane):
     assert loop.M == loop.J - loop.R
 
 
-def test_the_default_controller_is_one_integrator_per_input(crane):
-    controller = default_controller(crane.loop.plant)
-    assert controller.states == ("xi1", "xi2")
-    assert controller.Jc.is_zero_matrix
-    assert controller.Rc.is_zero_matrix
-    assert sp.eye(2) == controller.Gc
-
-
 def test_the_pendulums_loop_is_the_papers(pendulum):
     assert sp.Matrix([[0, 1, 0], [-1, 0, -1], [0, 1, 0]]) == pendulum.loop.J
     assert sp.zeros(3, 3) == pendulum.loop.R
     assert [str(c) for c in pendulum.casimirs.functions] == ["q - xi1"]
-
-
-def test_casimirs_of_the_fixtures_solve_the_condition(pendulum, crane):
-    for task in (pendulum, crane):
-        M = sp.lambdify([task.loop.z], sp.Matrix(task.loop.M), "numpy")
-        z = np.random.default_rng(0).normal(size=task.loop.n)
-        for c in task.casimirs.functions:
-            slope = sp.lambdify([task.loop.z], [sp.diff(c, s) for s in task.loop.z], "numpy")
-            np.testing.assert_allclose(np.array(slope(z), float) @ np.array(M(z), float), 0)
-
-
-@pytest.mark.parametrize(
-    ("code", "matrices"),
-    [
-        ("jc_not_skew", ([[1]], [[0]], [[1]])),
-        ("rc_not_psd", ([[0]], [[-1]], [[1]])),
-        ("gc_rank", ([[0]], [[0]], [[0]])),
-        ("shape", ([[0, 0], [0, 0]], [[0]], [[1]])),
-        ("shape", ([[0]], [[0]], [[1, 1]])),
-        ("undefined_symbol", ([[0]], [[sp.Symbol("q", real=True) ** 2]], [[1]])),
-    ],
-)
-def test_bad_controllers(pendulum, code, matrices):
-    """The controller's structure may depend on ξ only, not on the plant's states."""
-    xi = (sp.Symbol("s", real=True),)
-    with pytest.raises(ModelError) as caught:
-        make_controller(pendulum.loop.plant, xi, *map(sp.Matrix, matrices))
-    assert caught.value.code == code

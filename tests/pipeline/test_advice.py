@@ -2,7 +2,7 @@
 
 import pytest
 
-from necc_casadi.pipeline.request import Request
+from necc_casadi.pipeline.request import Choices, Request
 from necc_casadi.pipeline.run import run_design
 
 MODEL = """
@@ -20,7 +20,7 @@ H = p**2 / 2 + q**4 / 4 - q**2 / 2
 def ran(tmp_path, **chosen):
     model = tmp_path / "duffing.py"
     model.write_text(MODEL, encoding="utf-8")
-    request = Request(model, tmp_path / "out", target="1/2", plots=False, chosen=chosen)
+    request = Request(model, tmp_path / "out", target="1/2", plots=False, chosen=Choices(**chosen))
     return run_design(request, lambda text: None)
 
 

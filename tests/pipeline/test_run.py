@@ -1,71 +1,17 @@
 """Options of necc-design end to end: what is asked for is done, noted, and written."""
 
-import json
-import re
 import zipfile
 from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers.commands import check_refusal, design, here
+from helpers.commands import design, here
 from helpers.problems import PENDULUM
+from helpers.runs import EXAMPLES, SMALL, run
 
 from necc_casadi.cli.certify import _certify
 from necc_casadi.designs.design import Design
 from necc_casadi.model.model_file import load_model
-
-EXAMPLES = PENDULUM.parent
-SMALL = ("--hidden-k", "8", "--hidden-h", "6")
-
-
-def run(*arguments):
-    """(exit code, JSON object) of one design."""
-    code, text, err = design(*arguments, "--json")
-    assert "Traceback" not in err
-    return code, json.loads(text)
-
-
-@pytest.fixture
-def motor(tmp_path) -> Path:
-    """The DC motor without its resonator: the default integrator has no Casimir at all."""
-    text = (EXAMPLES / "dc_motor.py").read_text(encoding="utf-8")
-    path = tmp_path / "motor.py"
-    path.write_text(text[: text.index("xi = ")], encoding="utf-8")
-    return path
-
-
-def offers(data) -> list[str]:
-    return [word for note in data["notes"] for word in re.findall(r"--structure (\S+)", note)]
-
-
-@pytest.mark.slow
-def test_a_structure_that_helps_is_offered_and_taken(motor, tmp_path):
-    code, data = run(motor, "--check")
-    assert (code, data["status"]) == (3, "refused")
-    assert data["verdict"]["assignable"] is False
-    assert offers(data) == ["resonator"]
-    code, data = run(motor, "--check", "--structure", "resonator")
-    assert (code, data["status"]) == (0, "assignable")
-    assert data["verdict"]["assignable"] is True
-    assert len(data["controller"]["states"]) == 2
-    assert data["verdict"]["casimir_count"] >= 1
-    assert offers(data) == []
-    code, data = run(
-        motor, "--structure", "resonator", "--no-plots", *SMALL, "--out", tmp_path / "o"
-    )
-    assert (code, data["status"]) == (0, "certified")
-    assert data["design"]["loss"] <= 1e-9
-    assert Design.load(tmp_path / "o").loop.controller.nc == 2
-
-
-def test_a_structure_that_nobody_offered_is_a_usage_error(motor, tmp_path):
-    result = design(motor, "--structure", "gyrator", "--json", "--out", tmp_path / "o")
-    check_refusal(result, "usage", "gyrator")
-    assert "Offered here: resonator." in result[2]
-    assert not (tmp_path / "o").exists()
-    code, text, err = design(PENDULUM, "--target", "pi/4", "--structure", "resonator", "--json")
-    check_refusal((code, text, err), "usage", "resonator")
-    assert "Offered here: none." in err
 
 
 def test_a_beyond_the_ceiling_is_lowered_with_a_note(tmp_path):
@@ -82,17 +28,6 @@ def test_a_beyond_the_ceiling_is_lowered_with_a_note(tmp_path):
     assert "a = 2 " in note
     assert f"a = {made['a']:.4g} is used" in note
     assert (code, data["status"]) == (0, "certified")
-
-
-@pytest.fixture(scope="module")
-def everything(tmp_path_factory):
-    """One run of the pendulum with every further deliverable: (exit code, JSON, folder)."""
-    out = tmp_path_factory.mktemp("everything") / "out"
-    code, data = run(
-        PENDULUM, "--target", "pi/4", *SMALL, "--out", out, "--no-plots", "--fmu", "--mex",
-        "--sample-time", "0.01", "--sweep-a", "0.2:0.8:3",
-    )  # fmt: skip
-    return code, data, out
 
 
 def test_files_of_other_tools(everything):
@@ -132,24 +67,6 @@ def test_a_sample_time_that_is_too_long_is_noted(tmp_path):
     assert data["sampling"]["spectral_radius"] > 1
     assert data["sampling"]["largest_stable"] < 3
     assert data["sampling"]["warning"] in data["notes"]
-
-
-def test_the_sweep_keeps_the_bounds_above_the_distance(everything):
-    sweep = everything[1]["sweep"]
-    assert [point["a"] for point in sweep] == pytest.approx([0.2, 0.5, 0.8])
-    for point in sweep:
-        assert point["loss"] <= 1e-9
-        assert point["distance"] <= point["bound_rigorous"]
-        assert point["bound_paper"] == pytest.approx(
-            point["loss"] / (point["a"] - point["loss"]), rel=1e-6
-        )
-
-
-def test_the_sweep_says_what_is_proved_and_simulated_for_each_a(everything):
-    """No start of the proved share may fail to converge, so it cannot exceed the simulated one."""
-    for point in everything[1]["sweep"]:
-        assert 0.05 < point["domain_share"] <= point["simulated_share"] + 0.05
-        assert "domain" in point["limited_by"]
 
 
 def test_what_was_not_asked_for_is_null(tmp_path):

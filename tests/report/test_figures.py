@@ -105,7 +105,7 @@ def test_the_region_is_drawn_large_with_its_slice_and_its_shadow(default_design)
         low, high = np.transpose([axis.get_xlim(), axis.get_ylim()])
         assert (np.ptp(curve, axis=0) > 0.3 * (high - low)).all()
         assert ((low <= curve) & (curve <= high)).all()
-        assert axis.get_title().endswith("domain: q from -1.21 to 2.79, p from -2 to 2")
+        assert axis.get_title().endswith("domain: q from -1.21 to 2.79, p from -1.68 to 1.68")
         assert drawn(figure).startswith(b"\x89PNG")
 
 

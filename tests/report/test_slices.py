@@ -1,5 +1,9 @@
 """Planes of two states: the pair, the slice of Ω and its shadow, each by a second route."""
 
+import importlib.util
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
 from helpers.problems import problem, solve
@@ -10,7 +14,6 @@ from necc_casadi.certificate.prover.certify import certify
 from necc_casadi.model.model_file import load_model
 from necc_casadi.report.slices import (
     domain_window,
-    extent,
     shadow,
     slice_boundary,
     slice_values,
@@ -104,10 +107,20 @@ def test_the_shadow_holds_the_proved_region(region):
         assert outline.contains_points(middle + 0.98 * (points - middle)).all()
 
 
-def test_the_extent_bounds_the_region_and_the_shadow(region):
+@pytest.fixture(scope="module")
+def gallery():
+    """The script that writes docs/gallery.md."""
+    path = Path(__file__).parents[2] / "docs" / "make_gallery.py"
+    spec = importlib.util.spec_from_file_location("make_gallery", path)
+    sys.modules[spec.name] = module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_the_extent_bounds_the_region_and_the_shadow(region, gallery):
     """Of momentum and controller state, too."""
     made, certificate, window, edge = region
-    ends = extent(made, certificate.level)
+    ends = gallery.extent(made, certificate.level)
     assert ends.shape == (3, 2)
     for k, state in enumerate(window.pair):
         np.testing.assert_allclose(ends[state], [edge[:, k].min(), edge[:, k].max()], rtol=0.03)

@@ -5,11 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 from helpers import reference
-from helpers.constructed import make_design, mechanical
 
-from necc_casadi.lyapunov.networks import Network
-from necc_casadi.lyapunov.parameterization import Form
-from necc_casadi.simulation.convergence import converging, simulated_share
 from necc_casadi.simulation.responses import Trajectory, default_horizon, random_states, simulate
 
 
@@ -39,8 +35,8 @@ def test_V_never_rises_and_the_input_is_the_controllers(any_design):
         assert response.V_bar <= response.V.min() + 1e-8
         for k in (0, 150, 300):
             u, _ = any_design.control(response.z[k, :n], response.z[k, n:])
-            np.testing.assert_array_equal(response.u[k], u)
-            assert response.V[k] == any_design.V(response.z[k])
+            np.testing.assert_allclose(response.u[k], u, rtol=1e-14, atol=1e-14)
+            assert response.V[k] == pytest.approx(any_design.V(response.z[k]), rel=1e-14)
 
 
 def test_the_energy_balance_closes(designs):
@@ -106,28 +102,3 @@ def test_random_states_lie_in_the_middle_of_the_domain(any_design):
     middle, half = (lo + hi)[:n] / 2, (hi - lo)[:n] / 2
     assert np.all(np.abs(states - middle) <= half / 2)
     assert np.array_equal(states, random_states(any_design, 50, seed=1))
-
-
-def test_many_starts_at_once_agree_with_responses_one_by_one(default_design, paper_design):
-    for made in (default_design, paper_design):
-        lo, hi = made.domain.lo, made.domain.hi
-        starts = np.random.default_rng(2).uniform(lo, hi, (12, lo.size))
-        found = converging(made, starts)
-        horizon = 4 * default_horizon(made)
-        each = [simulate(made, z[:2], z[2:], time=horizon, points=101).converged for z in starts]
-        assert found.arrived.tolist() == each
-        assert not found.unfinished.any()
-
-
-def test_share_of_a_loop_with_a_second_minimum_is_the_side_of_the_saddle():
-    """p²/2 + (q² − 1)²/4: from rest, damped, to the well at q = 1 from q > 0 alone, ξ at rest."""
-    plant = mechanical(lambda q, p: p**2 / 2 + (q**2 - 1) ** 2 / 4, 1)
-    form = Form(Network(1, (), quadratic=True), Network(1, (), quadratic=True))
-    weights = [0, 0, 1.0, 0.0, 0, 0, 1e-9, 1.0]
-    made = make_design(plant, (1, 0), form, weights, [0.0], damping=(1.0, 1.0))
-    q = np.array([-1.4, -1.0, -0.1, 0.1, 1.0, 1.4])
-    starts = np.column_stack([q, 0 * q, 0 * q])
-    assert converging(made, starts).arrived.tolist() == (q > 0).tolist()
-    share = simulated_share(made, [1])
-    assert 0.3 < share < 0.9
-    assert share == simulated_share(made, [1])

@@ -1,7 +1,5 @@
 """Text to exact expressions and back: no eval, no crash, nothing lost."""
 
-import keyword
-
 import pytest
 import sympy as sp
 from hypothesis import example, given, settings
@@ -16,7 +14,6 @@ from necc_casadi.symbolic.expressions import (
     parse_number,
     to_text,
 )
-from necc_casadi.symbolic.identifiers import identifiers
 
 q, p = sp.symbols("q p", real=True)
 NAMES = {"q": q, "p": p}
@@ -154,22 +151,6 @@ def test_reciprocal_functions_are_rewritten_and_equal(function):
 )  # fmt: skip
 def test_kinks_are_found(expr):
     assert non_smooth_part(expr + sp.sin(q)) is not None
-
-
-@given(st.lists(st.text(min_size=1, max_size=12), max_size=6))
-def test_identifiers_are_valid_unique_and_one_per_name(names):
-    result = identifiers(names)
-    assert len(result) == len(set(result)) == len(names)
-    for name in result:
-        assert name.isascii()
-        assert name.isidentifier()
-        assert not keyword.iskeyword(name)
-        assert name not in FUNCTIONS
-
-
-def test_good_names_stay_and_reserved_ones_change():
-    assert identifiers(["q", "p_1", "double", "lambda", "pi", "1x", "θ"])[:2] == ["q", "p_1"]
-    assert not {"double", "lambda", "pi", "1x"} & set(identifiers(["double", "lambda", "pi", "1x"]))
 
 
 @pytest.mark.parametrize(

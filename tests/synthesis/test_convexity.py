@@ -12,9 +12,9 @@ from necc_casadi.designs.error_bound import loss
 from necc_casadi.lyapunov.lyapunov import make_terms
 from necc_casadi.lyapunov.networks import KAPPA_MIN
 from necc_casadi.model.model_file import load_model
+from necc_casadi.model.sizes import natural_sizes
 from necc_casadi.synthesis.convexity import least_kappa
 from necc_casadi.synthesis.options import Options
-from necc_casadi.synthesis.units import natural_scales
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 TARGETS = {
@@ -29,7 +29,7 @@ def task_of(name: str) -> SimpleNamespace:
     task = problem(load_model(EXAMPLES / f"{name}.py"), TARGETS[name])
     task.x = np.array([float(task.x_star[s]) for s in task.loop.plant.x])
     task.xi = np.zeros(task.loop.controller.nc)
-    task.scales = natural_scales(task.loop, task.casimirs, task.x, task.xi)
+    task.scales = natural_sizes(task.loop, task.casimirs.functions, task.x_star)
     return task
 
 

@@ -9,13 +9,13 @@ from helpers.constructed import EXAMPLES
 from necc_casadi import Options, design, find_casimirs, judge, load_model
 from necc_casadi.casimirs.find import find_casimirs as found_for
 from necc_casadi.lyapunov.lyapunov import make_terms
+from necc_casadi.model.sizes import natural_sizes
 from necc_casadi.model.target import target_from_model
 from necc_casadi.synthesis.potential_free import (
     POTENTIAL_FREE_STIFFNESS,
     best_coordinates,
     is_potential_free,
 )
-from necc_casadi.synthesis.units import natural_scales
 
 
 @pytest.fixture(scope="module")
@@ -48,7 +48,7 @@ def test_the_controller_rests_where_the_casimirs_are_good_coordinates(satellite)
     terms = make_terms(loop, casimirs)
     x = np.array([float(x_star[s]) for s in loop.plant.x])
     guess = np.zeros(3)
-    scales = natural_scales(loop, casimirs, x, guess)
+    scales = natural_sizes(loop, casimirs.functions, x_star)
     found = best_coordinates(terms, x, guess, scales)
     size = 1e-4 * np.eye(3)
     slopes = [(worth(terms, x, found + h) - worth(terms, x, found - h)) / 2e-4 for h in size]
@@ -62,7 +62,8 @@ def test_the_best_place_is_kept_where_all_are_alike():
     casimirs = found_for(loop)
     terms = make_terms(loop, casimirs)
     x, guess = np.array([0.1, 0.0]), np.array([0.02])
-    scales = natural_scales(loop, casimirs, x, guess)
+    x_star = dict(zip(loop.plant.x, (sp.Rational(1, 10), sp.Integer(0)), strict=True))
+    scales = natural_sizes(loop, casimirs.functions, x_star, guess)
     assert best_coordinates(terms, x, guess, scales) == pytest.approx(guess)
 
 

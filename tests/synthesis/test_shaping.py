@@ -24,12 +24,12 @@ from necc_casadi.lyapunov.networks import Network
 from necc_casadi.lyapunov.parameterization import Form
 from necc_casadi.model.model_file import load_model
 from necc_casadi.model.samples import quasi_random
+from necc_casadi.model.sizes import Sizes
 from necc_casadi.synthesis import shaping, training
 from necc_casadi.synthesis.lifting import Lifting
-from necc_casadi.synthesis.options import Options, paper_options
+from necc_casadi.synthesis.options import Level, Options, Regulariser, paper_options
 from necc_casadi.synthesis.programs import hard_program
 from necc_casadi.synthesis.shaping import SampleBox, make_shaping, moving_weights
-from necc_casadi.synthesis.units import Scales
 
 #: The pendulum's box ±2 around z* = (q*, 0, ξ*); the momentum rests, its ceiling is p²/2 at 2.
 BOX = SampleBox(
@@ -45,7 +45,8 @@ ENERGY = 0.7
 
 
 def make(kind, gamma=1.3, seed=0):
-    return make_shaping(kind, BOX, SIZE, ENERGY, 0.4, gamma, seed)
+    asked = Level() if kind == "level" else Regulariser(gamma)
+    return make_shaping(asked, BOX, SIZE, ENERGY, 0.4, seed)
 
 
 @pytest.fixture(scope="module")
@@ -87,7 +88,7 @@ def test_regulariser_against_plain_numpy(default_design, seed):
     mean = np.mean(squares - 1.3 * np.array(heights) / ENERGY)
     u = rows_of(shaped, made)
     np.testing.assert_allclose(u, [mean], rtol=1e-10, atol=1e-10)
-    value = float(shaped.objective(ca.DM(u), 0.0)) / shaping._WEIGHT["regulariser"]
+    value = float(shaped.objective(ca.DM(u), 0.0)) / shaping._REGULARISER_WEIGHT
     assert max(mean, 0) <= value <= max(mean, 0) + shaping._SMOOTHING / 2
 
 
@@ -142,12 +143,12 @@ def test_level_objective_counts_what_lies_above_the_level(default_design):
     u = np.full(shaped.count, 50.0)
     for outside in (0, 60, N):
         u[:N] = np.where(np.arange(N) < outside, 9.0, -7.0)
-        value = float(shaped.objective(ca.DM(u), 1.0)) / shaping._WEIGHT["level"]
+        value = float(shaped.objective(ca.DM(u), 1.0)) / shaping._LEVEL_WEIGHT
         assert value == pytest.approx(outside / N, abs=0.01)
     margins = np.asarray(shaped.margins(ca.DM(u), 1.0)).ravel()
     np.testing.assert_allclose(margins, [1.0, *[49.0] * len(shaped.boundary)])
     u[N : N + M] = -1.0  # V falls along every ray
-    assert float(shaped.objective(ca.DM(u), 1.0)) > 5 * shaping._WEIGHT["level"]
+    assert float(shaped.objective(ca.DM(u), 1.0)) > 5 * shaping._LEVEL_WEIGHT
 
 
 @given(
@@ -205,11 +206,11 @@ def test_samples_lie_in_the_domain_and_on_its_boundary():
 def test_samples_above_every_level_are_left_out():
     """A state that no Casimir contains has energy of its own, which caps the level too."""
     steep = replace(BOX, shaped=(2,), excess=lambda offsets: 10 * offsets[:, 0] ** 2)
-    shaped = make_shaping("level", steep, SIZE, ENERGY, 0.4, 1.0, 0)
+    shaped = make_shaping(Level(), steep, SIZE, ENERGY, 0.4, 0)
     assert np.all(10 * shaped.inner[:, 0] ** 2 <= 2.0)
     assert not shaped.boundary[:, 0].any()
     flat = replace(steep, excess=lambda offsets: 0.1 * offsets[:, 0] ** 2)
-    assert make_shaping("level", flat, SIZE, ENERGY, 0.4, 1.0, 0).energy == pytest.approx(0.2)
+    assert make_shaping(Level(), flat, SIZE, ENERGY, 0.4, 0).energy == pytest.approx(0.2)
 
 
 @given(d=st.integers(1, 3), seed=st.integers(0, 2**32 - 1))
@@ -238,8 +239,8 @@ def test_derivatives_that_are_written_by_hand(pendulum, kind):
     form = Form(Network(1, (3,), quadratic=True), Network(1, (4,), quadratic=True))
     terms = make_terms(pendulum.loop, pendulum.casimirs)
     x, shaped = np.array([np.pi / 4, 0.0]), make(kind)
-    lifting = Lifting(terms, form, x, Scales(np.ones(3), 1.0), np.zeros(1))
-    program = hard_program(lifting, 0.4, None)
+    lifting = Lifting(terms, form, x, Sizes.ones(3, 1, 1), np.zeros(1))
+    program = hard_program(lifting, np.full(3, 0.4), None)
     anchor = training.Anchor(np.zeros(1))
     solver = training._Solver(lifting, program, 0.4, anchor, shaped, False)
     nlp, n = solver.solver, solver.n_small

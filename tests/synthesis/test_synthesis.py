@@ -10,8 +10,8 @@ from helpers.problems import problem, solve
 from necc_casadi.designs.error_bound import loss
 from necc_casadi.lyapunov.lyapunov import LyapunovFunction
 from necc_casadi.model.model_file import load_model
+from necc_casadi.model.sizes import natural_sizes
 from necc_casadi.synthesis.options import Options, paper_options
-from necc_casadi.synthesis.units import natural_scales
 
 
 def abscissa(made, D, Dc) -> float:
@@ -102,10 +102,16 @@ domain = {{p: (-2 * {mass}, 2 * {mass})}}
     assert 0.3 < rate < 3
 
 
-def test_natural_scales_follow_the_domain(pendulum):
-    x, xi = np.array([np.pi / 4, 0.0]), np.zeros(1)
-    plain = natural_scales(pendulum.loop, pendulum.casimirs, x, xi)
-    assert plain.state.tolist() == [1.0, 1.0, 1.0]
+def test_natural_sizes_follow_the_domain(pendulum):
+    """One radian without a domain; a quarter of it with one, and the energy of that angle."""
+
+    def sizes(loop):
+        return natural_sizes(loop, pendulum.casimirs.functions, pendulum.x_star)
+
+    plain = sizes(pendulum.loop)
+    assert plain.state.tolist() == [1.0, pytest.approx(0.5**0.25), 1.0]
+    assert plain.energy == pytest.approx(0.5**0.5)
     wide = dataclasses.replace(pendulum.loop.plant, domain={"q": (-6, 6)})
-    loop = dataclasses.replace(pendulum.loop, plant=wide)
-    assert natural_scales(loop, pendulum.casimirs, x, xi).state.tolist() == [3.0, 1.0, 3.0]
+    found = sizes(dataclasses.replace(pendulum.loop, plant=wide))
+    assert found.state.tolist() == [3.0, pytest.approx(3 * 0.5**0.25), 3.0]
+    assert found.guessed == ("p", "xi1", "u")

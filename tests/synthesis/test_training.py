@@ -11,11 +11,11 @@ from necc_casadi.designs.outcome import STATUS, Start
 from necc_casadi.lyapunov.lyapunov import make_terms
 from necc_casadi.lyapunov.networks import MonotonePhi, Network
 from necc_casadi.lyapunov.parameterization import Form
+from necc_casadi.model.sizes import Sizes
 from necc_casadi.synthesis.lifting import Lifting, _jet_function
 from necc_casadi.synthesis.training import SOLVED, train
-from necc_casadi.synthesis.units import Scales
 
-PLAIN = Scales(np.ones(3), 1.0)
+PLAIN = Sizes.ones(3, 1, 1)
 PAPER = Form(Network(1, (32,)), Network(1, (64,)))
 QUADRATIC = Form(Network(1, (8,), quadratic=True), Network(1, (8,), quadratic=True))
 Q = np.pi / 4
@@ -72,7 +72,7 @@ def test_lifted_derivatives_are_those_of_V(crane, crane_terms, form):
     rng = np.random.default_rng(4)
     xi = rng.normal(size=2)
     x = np.array([float(crane.x_star[s]) for s in crane.loop.plant.x])
-    lifting = Lifting(crane_terms, form, x, Scales(np.ones(6), 1.0), xi)
+    lifting = Lifting(crane_terms, form, x, Sizes.ones(6, 1, 1), xi)
     weights = form.initial(rng)
     g, N = lifting.at(lifting.jets_at(weights, xi))
     made = build(crane, form, weights, xi)

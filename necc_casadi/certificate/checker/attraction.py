@@ -21,12 +21,12 @@ _SOUND = "z̄ is an equilibrium of a loop along which V decreases"
 
 def check_attraction(evidence: Evidence, sound: bool) -> Checked:
     """The linearisation plus the claimed rate is Hurwitz: AᵀP + PA ≺ 0, P ≻ 0 (Lyapunov)."""
-    rate = float(evidence.claims["attraction"].data["rate"])
+    rate, time = float(evidence.claims["attraction"].data["rate"]), evidence.model.units.time
 
     def hurwitz() -> bool:
         A = _linearisation(evidence, evidence.z_bar(range(len(evidence.model.z))))
         for i in range(A.nrows()):
-            A[i, i] = A[i, i] + rate
+            A[i, i] = A[i, i] + rate * time
         guess = lyapunov_matrix(middle_of(A))
         if guess is None:
             return False

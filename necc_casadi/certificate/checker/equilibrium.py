@@ -36,7 +36,8 @@ def check_equilibrium(evidence: Evidence) -> Checked:
         g = norm(evidence.full.gradient_at(target))
     claimed = float(evidence.claims["equilibrium"].data["gradient_norm"])
     cube = tuple(ends(t + ball(-radius, radius)) for t in target)
-    near = norm([t - v for t, v in zip(target, c.z_bar, strict=True)])
+    near = norm([t - v for t, v in zip(target, evidence.minimum, strict=True)])
+    natural = bound / model.units.largest
 
     def convex() -> bool:
         return by_bisection(
@@ -45,12 +46,12 @@ def check_equilibrium(evidence: Evidence) -> Checked:
 
     return Checked.by(
         "equilibrium",
-        statements.equilibrium(radius, mu, bound),
+        statements.equilibrium(radius, mu, natural),
         [
             ("μ and the radius are positive", lambda: mu > 0 and radius > 0),
             ("‖∇V(z*)‖ is less than μ times the radius", lambda: bool(g < arb(mu) * arb(radius))),
             ("‖∇V(z*)‖ is at most what is claimed", lambda: bool(g <= claimed)),
-            ("‖∇V(z*)‖/μ is at most the distance claimed", lambda: bool(g / mu <= bound)),
+            ("‖∇V(z*)‖/μ is at most the distance claimed", lambda: bool(g / mu <= natural)),
             (
                 "z̄ is as near to the claimed point as is claimed",
                 lambda: bool(_residual(evidence) / mu <= enclosure),
@@ -73,4 +74,4 @@ def _bending(model: StoredDesign) -> list[bool]:
 def _residual(evidence: Evidence) -> arb:
     """‖∇V‖ at the claimed z̄."""
     with ctx.workprec(_BITS):
-        return norm(evidence.full.gradient_at([arb(v) for v in evidence.certificate.z_bar]))
+        return norm(evidence.full.gradient_at([arb(v) for v in evidence.minimum]))

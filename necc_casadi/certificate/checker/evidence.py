@@ -46,6 +46,12 @@ class Evidence:
         self.claims = {claim.name: claim for claim in self.certificate.claims}
         self.full = Energy(model, range(len(model.z)))
         self._reduced: dict[tuple[int, ...], Energy] = {}
+        if self.certificate.units != model.units:
+            raise ValueError("the certificate is in other units than the design")
+        #: The claimed z̄ in natural units, as everything that is proved.
+        self.minimum = [
+            v / u for v, u in zip(self.certificate.z_bar, model.units.state, strict=True)
+        ]
 
     def claimed(self, name: str) -> bool:
         """Whether a claim is listed and held."""
@@ -66,7 +72,7 @@ class Evidence:
         ValueError
             When the certificate does not say how near z̄ is.
         """
-        radius, z = self.certificate.enclosure, self.certificate.z_bar
+        radius, z = self.certificate.enclosure, self.minimum
         if radius is None:
             raise ValueError("no enclosure of z̄")
         return tuple(ends(arb(z[i]) + ball(-radius, radius)) for i in active)

@@ -83,7 +83,8 @@ class InputProof:
 
 def check_input_limits(evidence: Evidence, proof: RegionProof | None, sound: bool) -> Checked:
     """U stays within the model's limits wherever V ≤ c_u on the cells of the region."""
-    level, limits = evidence.certificate.level_u, evidence.model.u_limits
+    level, limits = evidence.certificate.level_u, evidence.model.stated_limits
+    energy_unit = evidence.model.units.energy
     if level is None or limits is None or proof is None or not sound:
         given = level is not None and limits is not None and proof is not None
         missing = "a proved region" if given else "limits, a level or a region in the files"
@@ -93,13 +94,14 @@ def check_input_limits(evidence: Evidence, proof: RegionProof | None, sound: boo
     if boxes is None:
         return Checked("input_limits", False, "no input limits in the coordinates (c, ξ)")
     energy, z_bar = proof.energy, evidence.z_bar(region.active)
-    inputs = InputProof(evidence.model, energy, level)
+    natural = level / energy_unit
+    inputs = InputProof(evidence.model, energy, natural)
     return Checked.by(
         "input_limits",
-        statements.input_limits(limits, level, region.level),
+        statements.input_limits(limits, level, region.level * energy_unit),
         [
-            ("V(z̄) < c_u", lambda: bool(energy.value(z_bar) < level)),
-            ("c_u ≤ c", lambda: level <= region.level),
+            ("V(z̄) < c_u", lambda: bool(energy.value(z_bar) < natural)),
+            ("c_u ≤ c", lambda: natural <= region.level),
             ("the momenta enter u through Gᵀ Φ₁ A s alone", inputs.covered),
             ("u is within its limits where V ≤ c_u", lambda: all(map(inputs.kept, boxes))),
         ],

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cached_property
 from typing import Any
 
@@ -10,13 +10,18 @@ import sympy as sp
 from flint import arb
 
 from necc_casadi.certificate.checker.arithmetic.balls import evaluate
+from necc_casadi.certificate.checker.units import StoredUnits, divided, numbers, rationals
 from necc_casadi.symbolic.expressions import parse
 
 __all__ = ["StoredDesign"]
 
 
 class StoredDesign:
-    """design.json as expressions and exact numbers."""
+    """design.json as expressions and exact numbers, measured in the natural units that it names.
+
+    With z = S ẑ, t = T τ, H = E Ĥ, u = U û, c = S_c ĉ the loop keeps its form; powers of two leave
+    every number what it is.
+    """
 
     def __init__(self, data: Mapping[str, Any]) -> None:
         model = data["model"]
@@ -24,29 +29,60 @@ class StoredDesign:
         self.z = tuple(self.symbols.values())
         self.states = [*model["states"], *model["controller_states"]]
         self.n, self.nc = len(model["states"]), len(model["controller_states"])
-        self.H = self._read(model["H"])
-        self.J, self.R, self.G = (self._matrix(model[key]) for key in "JRG")
-        self.Jc, self.Rc, self.Gc = (self._matrix(model[key]) for key in ("Jc", "Rc", "Gc"))
+        self.form = data["form"]
+        scale = self._scale = StoredUnits(data, len(self.z))
+        self.units = scale.proof
+        S, U = rationals(scale.state), rationals(scale.input)
+        E, T = rationals([scale.energy, scale.time])
+        plant, inner = S[: self.n], S[self.n :]
+        self.H = self._read(model["H"]) / E
+        self.J, self.R = (
+            self._matrix(model[key], lambda i, j: T * E / (plant[i] * plant[j])) for key in "JR"
+        )
+        self.G = self._matrix(model["G"], lambda i, j: T * U[j] / plant[i])
+        self.Jc, self.Rc = (
+            self._matrix(model[key], lambda i, j: T * E / (inner[i] * inner[j]))
+            for key in ("Jc", "Rc")
+        )
+        self.Gc = self._matrix(model["Gc"], lambda i, j: E / (inner[i] * U[j]))
         self.m = self.G.cols
         self.casimir_texts: list[str] = data["casimirs"]["functions"]
-        self.casimirs = [self._read(text) for text in self.casimir_texts]
-        self.target = [self._read(text) for text in data["target"]]
-        self.xi_star = [float.fromhex(v) for v in data["xi_star"]]
-        self.D, self.Dc = (
-            [[float.fromhex(v) for v in row] for row in data[key]] for key in ("D", "Dc")
-        )
-        self.form, self.weights = data["form"], [float.fromhex(v) for v in data["weights"]]
+        texts = zip(self.casimir_texts, rationals(scale.casimir), strict=True)
+        self.casimirs = [self._read(text) / unit for text, unit in texts]
+        self.target = [
+            parse(text, {}) / unit for text, unit in zip(data["target"], plant, strict=True)
+        ]
+        self.xi_star = divided(numbers(data["xi_star"]), self.units.state[self.n :])
+        u = scale.input
+        power = [[self.units.time * a * b / self.units.energy for b in u] for a in u]
+        self.D = [divided(numbers(row), unit) for row, unit in zip(data["D"], power, strict=True)]
+        self.Dc = [
+            divided(numbers(row), [1 / v for v in unit])
+            for row, unit in zip(data["Dc"], power, strict=True)
+        ]
+        self.weights = divided(numbers(data["weights"]), scale.weights)
+        units = dict(zip(self.states, S, strict=True))
         self.domain = {
-            name: tuple(self._read(v) for v in bounds) for name, bounds in model["domain"].items()
+            name: tuple(parse(v, {}) / units[name] for v in bounds)
+            for name, bounds in model["domain"].items()
         }
         self.verdict = data["verdict"]
-        self.u_limits: list[list[float]] | None = model["u_limits"]
+        self.stated_limits: list[list[float]] | None = model["u_limits"]
+        self.u_limits = None
+        if self.stated_limits is not None:
+            pairs = zip(self.stated_limits, u, strict=True)
+            self.u_limits = [divided(list(pair), [unit, unit]) for pair, unit in pairs]
 
     def _read(self, text: str) -> sp.Expr:
-        return parse(text, self.symbols)
+        """An expression of the states, these in natural units."""
+        return parse(text, self.symbols).xreplace(
+            {s: u * s for s, u in zip(self.z, rationals(self._scale.state), strict=True) if u != 1}
+        )
 
-    def _matrix(self, rows: list[list[str]]) -> sp.Matrix:
-        return sp.Matrix([[self._read(v) for v in row] for row in rows])
+    def _matrix(self, rows: list[list[str]], unit: Callable[[int, int], sp.Expr]) -> sp.Matrix:
+        return sp.Matrix(
+            [[self._read(v) * unit(i, j) for j, v in enumerate(row)] for i, row in enumerate(rows)]
+        )
 
     @property
     def Jcl(self) -> sp.Matrix:
@@ -71,11 +107,12 @@ class StoredDesign:
 
     @cached_property
     def bounds(self) -> list[tuple[arb, arb]]:
-        """The domain; target ± 2 where the model names none."""
+        """The domain; target ± 2 sizes where the model names none."""
         result = []
-        for name, at in zip(self.states, self.target_balls(), strict=True):
-            sides = self.domain.get(name)
-            lo, hi = [at - 2, at + 2] if sides is None else [evaluate(v, {}) for v in sides]
+        for i, (name, at) in enumerate(zip(self.states, self.target_balls(), strict=True)):
+            sides, size = self.domain.get(name), arb(self._scale.size[i])
+            around = [at - 2 * size, at + 2 * size]
+            lo, hi = around if sides is None else [evaluate(v, {}) for v in sides]
             result.append((lo, hi))
         return result
 

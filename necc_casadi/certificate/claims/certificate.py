@@ -11,6 +11,7 @@ from typing import Any
 from necc_casadi.certificate.claims.claim import CERTIFICATE_FILE, CERTIFICATE_FORMAT, Claim
 from necc_casadi.certificate.claims.fields import read_as
 from necc_casadi.certificate.claims.regions import RegionClaim, Stability, read_region
+from necc_casadi.certificate.claims.units import Units
 from necc_casadi.errors import OutputError
 
 __all__ = ["Certificate"]
@@ -39,10 +40,11 @@ class Certificate:
 
     design_hash: str  # SHA-256 of design.json
     claims: tuple[Claim, ...]
+    units: Units  # natural units, in those of the model
     z_bar: tuple[float, ...]  # (N,)
-    enclosure: float | None  # the minimum of V is this close to z_bar
-    mu: float | None  # ∇²V ⪰ μI on the ball around z*
-    radius: float | None  # of that ball
+    enclosure: float | None  # the minimum of V is this close to z_bar, natural units
+    mu: float | None  # ∇²V ⪰ μI on the ball around z*, natural units
+    radius: float | None  # of that ball, natural units
     bound_rigorous: float | None  # ‖z̄ − z*‖ ≤ g/μ
     stability: Stability | None
     level: float | None = None  # c of the region {V ≤ c}
@@ -50,7 +52,7 @@ class Certificate:
     limited_by: str | None = None
     domain_share: float | None = None  # of the domain, momenta at rest: a lower bound
     is_global: bool = False
-    region: RegionClaim | None = None
+    region: RegionClaim | None = None  # in natural units
 
     @property
     def certified(self) -> bool:

@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from decimal import ROUND_CEILING, ROUND_FLOOR, Decimal
 
 from necc_casadi.certificate.claims.regions import Follows, Kind, LimitedBy, Method, RegionClaim
+from necc_casadi.certificate.claims.units import Units
 
 __all__ = [
     "DAMPING",
@@ -80,9 +81,9 @@ _METHODS: dict[Method, str] = {
 
 
 def equilibrium(radius: float, mu: float, bound: float) -> str:
-    """Of the ball around z*, ∇²V ⪰ μI on it and the distance of z̄."""
+    """Of the ball around z*, ∇²V ⪰ μI on it and the distance of z̄, all in natural units."""
     return (
-        f"V has exactly one critical point z̄ within {radius:.17g} of z*, ∇²V ⪰ "
+        f"in natural units V has exactly one critical point z̄ within {radius:.17g} of z*, ∇²V ⪰ "
         f"{_down(mu, 3)} I there, and ‖z̄ − z*‖ ≤ {_up(bound, 3)}"
     )
 
@@ -126,7 +127,9 @@ def region(level: float, share: float, limit: str, follows: Follows) -> str:
     )
 
 
-def limited_by(limit: LimitedBy, states: Sequence[str], region: RegionClaim | None) -> str:
+def limited_by(
+    limit: LimitedBy, states: Sequence[str], region: RegionClaim | None, units: Units
+) -> str:
     """What limits a region, or leaves none."""
     if limit.kind == "momentum":
         return f"the domain, in {states[limit.at[0]]}"
@@ -134,7 +137,7 @@ def limited_by(limit: LimitedBy, states: Sequence[str], region: RegionClaim | No
         return "the loop, which may have a pole in it"
     if limit.kind not in _AT_A_CELL:
         return _METHODS[region.method]
-    place = zip(region.active, region.place(limit), strict=True)
+    place = zip(region.active, units.place(region.active, region.place(limit)), strict=True)
     near = ", ".join(f"{states[i]} = {v:.3g}" for i, v in place)
     return f"{_AT_A_CELL[limit.kind]}, near {near}"
 

@@ -43,9 +43,12 @@ def linearisation(potential: Potential, Z: Interval) -> Interval:
     return matmul(M / slope - injected, potential.jet(Z[None, :]).hess[0])
 
 
-def prove_attraction(potential: Potential, equilibrium: Equilibrium, casimir: Claim) -> Claim:
+def prove_attraction(
+    potential: Potential, equilibrium: Equilibrium, casimir: Claim, time: float
+) -> Claim:
     """z̄ is locally asymptotically stable: AᵀP + PA ≺ 0 for some P ≻ 0 and every A enclosed.
 
+    The rate is stated per unit of time of the model, of which natural time has `time`.
     A is of ż = (M/Φ₁ − 𝒢𝒟𝒢ᵀ)∇V, which is the damped loop only where M∇C = 0, as `casimir` says.
     """
     if not equilibrium.proved:
@@ -61,8 +64,11 @@ def prove_attraction(potential: Potential, equilibrium: Equilibrium, casimir: Cl
             shifted = A + rate * np.eye(A.shape[-1])
             P = _lyapunov(shifted.mid)
             if P is not None and _is_hurwitz(shifted, P):
-                return Claim("attraction", True, statements.attraction(rate), {"rate": rate})
-    text = f"the linearisation at z̄ is not proved to be Hurwitz (abscissa about {abscissa:.3g})"
+                stated = rate / time
+                return Claim("attraction", True, statements.attraction(stated), {"rate": stated})
+    text = (
+        f"the linearisation at z̄ is not proved to be Hurwitz (abscissa about {abscissa / time:.3g})"
+    )
     return Claim("attraction", False, text)
 
 

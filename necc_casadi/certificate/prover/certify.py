@@ -10,6 +10,7 @@ from necc_casadi.certificate.claims import statements
 from necc_casadi.certificate.claims.certificate import Certificate
 from necc_casadi.certificate.claims.claim import Claim
 from necc_casadi.certificate.claims.regions import Follows, Stability
+from necc_casadi.certificate.claims.units import Units
 from necc_casadi.certificate.prover.arithmetic.intervals import self_test
 from necc_casadi.certificate.prover.arithmetic.potential import Potential
 from necc_casadi.certificate.prover.attraction import prove_attraction, prove_only_stable
@@ -64,29 +65,28 @@ def certify(design: Design, *, region: bool = True, report: Report | None = None
     told = report or (lambda stage, share: None)
     if not self_test():
         claim = Claim("arithmetic", False, "this machine does not round as IEEE 754 says")
-        return _collect(design, (claim,), Equilibrium(design.z_bar, math.inf), None)
+        return _collect(design, (claim,), Equilibrium(design.natural.z_bar, math.inf), None)
     told("equilibrium", 0.0)
-    potential = Potential(design)
+    potential = Potential(design.natural)
     equilibrium = prove_equilibrium(potential)
     told("decrease", 0.5)
-    claims, stability = _local(potential, equilibrium)
+    claims, stability = _local(design, potential, equilibrium)
     certificate = _collect(design, claims, equilibrium, stability)
     if not region:
         return certificate
     told("region", 0.0)
-    certificate = _extended(certificate, potential, equilibrium)
+    certificate = _extended(certificate, design, potential, equilibrium)
     told("region", 1.0)
     return certificate
 
 
 def _local(
-    potential: Potential, equilibrium: Equilibrium
+    design: Design, potential: Potential, equilibrium: Equilibrium
 ) -> tuple[tuple[Claim, ...], Stability | None]:
     """What holds near z̄, and the kind of stability that follows."""
-    design = potential.design
     decrease = prove_decrease(design)
     claims = (_equilibrium_claim(equilibrium), *decrease.claims)
-    attraction = prove_attraction(potential, equilibrium, decrease.casimir)
+    attraction = prove_attraction(potential, equilibrium, decrease.casimir, design.units.time)
     if not (equilibrium.proved and decrease.decrease.holds):
         return (*claims, attraction), None
     if attraction.holds:
@@ -98,21 +98,21 @@ def _local(
 
 
 def _extended(
-    certificate: Certificate, potential: Potential, equilibrium: Equilibrium
+    certificate: Certificate, design: Design, potential: Potential, equilibrium: Equilibrium
 ) -> Certificate:
     """The certificate with the region, the input limits and the whole space."""
-    design, stability = potential.design, certificate.stability
+    stability, energy = certificate.stability, design.units.energy
     if stability is None:
         missing = Claim("region", False, "no region without a proof of stability")
         return replace(certificate, claims=(*certificate.claims, missing))
     proof = prove_region(potential, equilibrium)
-    everywhere = _global_claim(design, stability)
+    everywhere = _global_claim(design.natural, stability)
     # the whole space is a region: where it is proved, a level set in the domain may be missing
     needed = proof.region is not None or not everywhere.holds
     claims = [_region_claim(design, proof, stability)] if needed else []
     level_u = None
     if design.loop.plant.u_limits is not None:
-        level_u = _input_level(design, proof, equilibrium)
+        level_u = _input_level(potential.design, proof, equilibrium)
         claims.append(_limits_claim(design, proof, level_u))
     found = replace(
         certificate,
@@ -123,12 +123,18 @@ def _extended(
         return found
     return replace(
         found,
-        level=proof.region.level,
-        level_u=level_u,
-        limited_by=proof.limited_by(design.loop.states),
+        level=energy * proof.region.level,
+        level_u=None if level_u is None else energy * level_u,
+        limited_by=proof.limited_by(design.loop.states, units_of(design)),
         domain_share=proof.shares["domain_share"],
         region=proof.region,
     )
+
+
+def units_of(design: Design) -> Units:
+    """The natural units of a design."""
+    units = design.units
+    return Units(tuple(map(float, units.state)), float(units.energy), float(units.time))
 
 
 def _global_claim(design: Design, stability: Stability) -> Claim:
@@ -142,12 +148,15 @@ def _global_claim(design: Design, stability: Stability) -> Claim:
 
 
 def _region_claim(design: Design, proof: RegionProof, stability: Stability) -> Claim:
-    limit = proof.limited_by(design.loop.states)
+    states, units = design.loop.states, units_of(design)
+    limit = proof.limited_by(states, units)
     if proof.region is None or proof.limit is None:
         return Claim("region", False, f"{statements.UNPROVED['region']} is proved: {limit}")
-    follows = _follows(design, proof, stability)
-    text = statements.region(proof.region.level, proof.shares["domain_share"], limit, follows)
-    data = {**proof.shares, "limit": proof.limit.data, "follows": follows}
+    follows = _follows(design.natural, proof, stability)
+    level = units.energy * proof.region.level
+    text = statements.region(level, proof.shares["domain_share"], limit, follows)
+    sizes = {k: v * units.size(k, states, proof.region.active) for k, v in proof.shares.items()}
+    data = {**sizes, "limit": proof.limit.data, "follows": follows}
     return Claim("region", True, text, data)
 
 
@@ -176,7 +185,8 @@ def _limits_claim(design: Design, proof: RegionProof, level_u: float | None) -> 
     if proof.region is None or level_u is None:
         text = f"{statements.UNPROVED['input_limits']}{statements.ranges(limits)}"
         return Claim("input_limits", False, text)
-    text = statements.input_limits(limits, level_u, proof.region.level)
+    energy = design.units.energy
+    text = statements.input_limits(limits, energy * level_u, energy * proof.region.level)
     return Claim("input_limits", True, text)
 
 
@@ -192,13 +202,15 @@ def _equilibrium_claim(found: Equilibrium) -> Claim:
 def _collect(
     design: Design, claims: tuple[Claim, ...], found: Equilibrium, stability: Stability | None
 ) -> Certificate:
+    units = units_of(design)
     return Certificate(
         design_hash=design.hash,
         claims=claims,
-        z_bar=tuple(float(v) for v in found.z_bar),
+        units=units,
+        z_bar=tuple(units.place(range(len(found.z_bar)), map(float, found.z_bar))),
         enclosure=found.enclosure,
         mu=found.mu,
         radius=found.radius,
-        bound_rigorous=found.bound,
+        bound_rigorous=None if found.bound is None else units.largest * found.bound,
         stability=stability,
     )

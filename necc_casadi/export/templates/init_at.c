@@ -1,3 +1,8 @@
+/* What a large xi is, what a large V is, and V over xi^2 at these sizes. */
+static const necc_real xi_size[NECC_NXI] = {@xi_size@};
+static const necc_real V_size = @V_size@;
+static const necc_real stiffness[NECC_NXI] = {@stiffness@};
+
 /* V(x, xi) up to a term in x alone, and its gradient along xi. */
 static necc_real energy(const necc_real x[NECC_NX], const necc_real xi[NECC_NXI],
                         necc_real gradient[NECC_NXI])
@@ -15,7 +20,7 @@ static void energy_hessian(const necc_real x[NECC_NX], const necc_real xi[NECC_N
     necc_real at[NECC_NXI], up[NECC_NXI], down[NECC_NXI];
     int i, j;
     for (i = 0; i < NECC_NXI; ++i) {
-        const necc_real h = @cbrt_eps@ * (R(1.0) + @fabs@(xi[i]));
+        const necc_real h = @cbrt_eps@ * (xi_size[i] + @fabs@(xi[i]));
         memcpy(at, xi, sizeof at);
         at[i] = xi[i] + h;
         (void)energy(x, at, up);
@@ -29,7 +34,7 @@ static void energy_hessian(const necc_real x[NECC_NX], const necc_real xi[NECC_N
             hessian[i][j] = hessian[j][i] = R(0.5) * (hessian[i][j] + hessian[j][i]);
 }
 
-/* step = -(A + shift I)^-1 g by Cholesky's method; 0 when the matrix is not positive definite. */
+/* step = -(A + shift diag(stiffness))^-1 g by Cholesky's method; 0 when the matrix is not positive definite. */
 static int newton_step(necc_real A[NECC_NXI][NECC_NXI], necc_real shift,
                        const necc_real g[NECC_NXI], necc_real step[NECC_NXI])
 {
@@ -37,7 +42,7 @@ static int newton_step(necc_real A[NECC_NXI][NECC_NXI], necc_real shift,
     int i, j, k;
     for (i = 0; i < NECC_NXI; ++i)
         for (j = 0; j <= i; ++j) {
-            necc_real sum = A[i][j] + (i == j ? shift : R(0.0));
+            necc_real sum = A[i][j] + (i == j ? shift * stiffness[i] : R(0.0));
             for (k = 0; k < j; ++k)
                 sum -= L[i][k] * L[j][k];
             if (i == j && !(sum > R(0.0)))
@@ -96,7 +101,7 @@ int necc_init_at(necc_state *state, const necc_real x0[NECC_NX])
         const necc_real value = energy(x0, xi, g);
         const int convex = descent_step(x0, xi, g, step);
         const necc_real slope = product(g, step);
-        const int last = -slope <= @tiny@ * (R(1.0) + @fabs@(value)); /* below rounding */
+        const int last = -slope <= @tiny@ * (V_size + @fabs@(value)); /* below rounding */
         necc_real length = R(1.0);
         for (halvings = 0; halvings < 30; ++halvings) {
             for (i = 0; i < NECC_NXI; ++i)

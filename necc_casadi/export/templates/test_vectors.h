@@ -1,6 +1,7 @@
 /* test_vectors.h: what the control law and necc_step return, computed by CasADi in double.
  *
- * Inputs are exact in necc_real; an output is right within NECC_TOLERANCE * max(1, |expected|).
+ * Inputs are exact in necc_real; an output is right within NECC_TOLERANCE times its scale, which
+ * is its natural size and the size of the terms that may cancel in it.
  */
 #ifndef NECC_TEST_VECTORS_H
 #define NECC_TEST_VECTORS_H
@@ -18,6 +19,7 @@ typedef struct {
     double xidot[NECC_NXI];    /* of necc_control */
     double input[NECC_NU];     /* of necc_step: u within its limits */
     double next[NECC_NXI];     /* of necc_step: xi after dt */
+    double u_scale[NECC_NU], xidot_scale[NECC_NXI], next_scale[NECC_NXI];
     int flags;                 /* of necc_step */
 } necc_vector;
 

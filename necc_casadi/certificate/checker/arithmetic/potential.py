@@ -8,7 +8,7 @@ Results are kept per box, since neighbouring cells ask for the same ones.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import sympy as sp
 from flint import arb, arb_mat
@@ -18,6 +18,10 @@ from necc_casadi.certificate.checker.arithmetic.networks import Net
 from necc_casadi.certificate.checker.model import StoredDesign
 
 __all__ = ["Energy", "hessian_hull"]
+
+
+#: The entries of a matrix, by rows.
+Table = list[list[arb]]
 
 
 class _Term:
@@ -43,7 +47,7 @@ class _Jet(NamedTuple):
 
     value: arb
     grad: list[arb]
-    hess: list[list[arb]]
+    hess: Table
 
 
 class Energy:
@@ -228,13 +232,13 @@ class Energy:
             if i != j:
                 total[first + j][first + i] = total[first + j][first + i] + h
 
-    def _add_outer(self, total: Any, w: arb, u: list[arb], v: list[arb], both: bool) -> None:
+    def _add_outer(self, total: Table, w: arb, u: list[arb], v: list[arb], both: bool) -> None:
         for i in range(self.d):
             for j in range(self.d):
                 term = u[i] * v[j] + v[i] * u[j] if both else u[i] * v[j]
                 total[i][j] = total[i][j] + w * term
 
-    def _through_phi(self, box: Box, energy: Any, casimir: Any) -> arb_mat:
+    def _through_phi(self, box: Box, energy: Table, casimir: Table) -> arb_mat:
         e, de, C, dC = self._energy_and_casimir(box)
         if self.phi is None:
             return arb_mat(energy)

@@ -65,16 +65,22 @@ def check_region(evidence: Evidence, proof: RegionProof | None, sound: bool) -> 
         missing = "the stability of z̄" if claimed else "that one is claimed"
         return Checked("region", False, f"no region is proved, for want of {missing}")
     region, data, states = proof.region, evidence.claims["region"].data, evidence.model.states
+    units, level = evidence.model.units, evidence.certificate.level
     limit, follows = read_as(LimitedBy, data["limit"]), data["follows"]
-    sizes = {key: float(data[key]) for key in data if key not in _NO_SIZES}
+    sizes = {
+        key: float(data[key]) / units.size(key, tuple(states), region.active)
+        for key in data
+        if key not in _NO_SIZES
+    }
     bottom = proof.energy.value(evidence.z_bar(region.active))
     surroundings = cache(partial(_surroundings, evidence.model, proof))
-    text = f"a component of {{V ≤ {region.level:.6g}}} around z̄ in the domain, as it is described"
+    top = region.level * units.energy
+    text = f"a component of {{V ≤ {top:.6g}}} around z̄ in the domain, as it is described"
     checked = Checked.by(
         "region",
         text,
         [
-            ("the level is that of the region", lambda: region.level == evidence.certificate.level),
+            ("the level is that of the region", lambda: top == level),
             ("V(z̄) < c", lambda: bool(bottom < region.level)),
             *_momenta_stay(evidence.model, region, bottom),
             *proof.obligations(sizes, share),
@@ -85,8 +91,8 @@ def check_region(evidence: Evidence, proof: RegionProof | None, sound: bool) -> 
     )
     if not checked.holds:
         return checked
-    reason = statements.limited_by(limit, states, region)
-    statement = statements.region(region.level, share, reason, follows)
+    reason = statements.limited_by(limit, states, region, units)
+    statement = statements.region(top, share, reason, follows)
     limited = (f"it is limited by {reason}", lambda: said == reason)
     return Checked.by("region", statement, [limited])
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import reduce
+from functools import partial, reduce
 from typing import Any
 
 import numpy as np
@@ -22,6 +22,7 @@ from necc_casadi.certificate.prover.arithmetic.intervals import (
     matmul,
     point,
 )
+from necc_casadi.symbolic.fold import Algebra, fold, product, total
 
 __all__ = [
     "Jet",
@@ -144,6 +145,26 @@ def chain(outer: Jet, inner: list[Jet]) -> Jet:
 
 def constant(expr: sp.Expr) -> Interval:
     """A real constant expression, as an interval of shape ()."""
+    return expression_values([expr], {})[0]
+
+
+def expression_jets(
+    expressions: list[sp.Expr], variables: dict[sp.Symbol, Jet]
+) -> list[Jet | Interval]:
+    """Jets of sympy expressions, common subexpressions once; constants stay intervals."""
+    known: dict[sp.Expr, Jet | Interval] = dict(variables.items())
+    return [fold(expr, _JETS, known) for expr in expressions]
+
+
+def expression_values(
+    expressions: list[sp.Expr], variables: dict[sp.Symbol, Interval]
+) -> list[Interval]:
+    """Values of sympy expressions, common subexpressions once."""
+    known: dict[sp.Expr, Jet | Interval] = dict(variables.items())
+    return [v for v in (fold(e, _JETS, known) for e in expressions) if isinstance(v, Interval)]
+
+
+def _number(expr: sp.Expr) -> Interval | None:
     if isinstance(expr, sp.Rational):
         ball = arb(fmpq(int(expr.p), int(expr.q)))
         ends = [np.float64(float(end)) for end in (ball.lower(), ball.upper())]
@@ -152,78 +173,32 @@ def constant(expr: sp.Expr) -> Interval:
         return Interval(np.nextafter(ends[0], -np.inf), np.nextafter(ends[1], np.inf))
     if expr == sp.pi:
         return PI
-    if expr == sp.E:
-        return point(1.0).exp()
-    arguments = [constant(a) for a in expr.args]
-    if expr.is_Add:
-        return reduce(lambda a, b: a + b, arguments)
-    if expr.is_Mul:
-        return reduce(lambda a, b: a * b, arguments)
-    if isinstance(expr, sp.Pow):
-        return _constant_power(arguments[0], expr.exp, arguments[1])
-    return _SLOPES[type(expr)](arguments[0])[0]
+    return point(1.0).exp() if expr == sp.E else None
 
 
-def _constant_power(base: Interval, exponent: sp.Expr, enclosure: Interval) -> Interval:
+def _jets_first(parts: list[Jet | Interval]) -> list[Any]:
+    """Jets know how to combine with intervals, and not the other way round."""
+    return sorted(parts, key=lambda part: isinstance(part, Interval))
+
+
+def _power(expr: sp.Pow, walk: Callable[[sp.Expr], Jet | Interval]) -> Jet | Interval:
+    base, exponent = expr.base, expr.exp
+    if exponent.is_number:
+        value, power = walk(base), constant(exponent)
+        if isinstance(value, Interval):
+            return _interval_power(value, exponent, power)
+        return value.apply(lambda v: _power_slopes(v, exponent, power))
+    logarithm, factor = walk(sp.log(base)), walk(exponent)
+    scaled = factor * logarithm if isinstance(factor, Jet) else logarithm * factor
+    return scaled.exp() if isinstance(scaled, Interval) else scaled.apply(_exp)
+
+
+def _interval_power(base: Interval, exponent: sp.Expr, enclosure: Interval) -> Interval:
     if exponent.is_Integer:
         return base.power(int(exponent))
     if exponent == sp.Rational(1, 2):
         return base.sqrt()
     return (base.log() * enclosure).exp()
-
-
-def expression_jets(
-    expressions: list[sp.Expr], variables: dict[sp.Symbol, Jet]
-) -> list[Jet | Interval]:
-    """Jets of sympy expressions, common subexpressions once; constants stay intervals."""
-    cache: dict[sp.Expr, Jet | Interval] = dict(variables.items())
-    return [_evaluate(expr, cache) for expr in expressions]
-
-
-def expression_values(
-    expressions: list[sp.Expr], variables: dict[sp.Symbol, Interval]
-) -> list[Interval]:
-    """Values of sympy expressions, common subexpressions once."""
-    cache: dict[sp.Expr, Jet | Interval] = dict(variables.items())
-    return [v for v in (_evaluate(e, cache) for e in expressions) if isinstance(v, Interval)]
-
-
-def _evaluate(expr: sp.Expr, cache: dict[sp.Expr, Jet | Interval]) -> Jet | Interval:
-    if expr not in cache:
-        cache[expr] = constant(expr) if expr.is_number else _combine(expr, cache)
-    return cache[expr]
-
-
-def _combine(expr: sp.Expr, cache: dict[sp.Expr, Jet | Interval]) -> Jet | Interval:
-    if isinstance(expr, sp.Pow):
-        return _power(expr, cache)
-    arguments = [_evaluate(a, cache) for a in expr.args]
-    arguments.sort(key=lambda a: isinstance(a, Interval))  # jets first: they know how to combine
-    if expr.is_Add:
-        return reduce(lambda a, b: a + b, arguments)  # type: ignore[operator]
-    if expr.is_Mul:
-        return reduce(lambda a, b: a * b, arguments)  # type: ignore[operator]
-    if isinstance(arguments[0], Interval):
-        return _value(type(expr), arguments[0])
-    return arguments[0].apply(_SLOPES[type(expr)])
-
-
-def _value(function: type[sp.Basic], v: Interval) -> Interval:
-    """A function of an interval, without its slopes: the methods bear sympy's names."""
-    value: Interval = getattr(v, function.__name__)()
-    return value
-
-
-def _power(expr: sp.Pow, cache: dict[sp.Expr, Jet | Interval]) -> Jet | Interval:
-    base, exponent = expr.base, expr.exp
-    if exponent.is_number:
-        value, power = _evaluate(base, cache), constant(exponent)
-        if isinstance(value, Interval):
-            return _constant_power(value, exponent, power)
-        return value.apply(lambda v: _power_slopes(v, exponent, power))
-    logarithm, factor = _evaluate(sp.log(base), cache), _evaluate(exponent, cache)
-    product = factor * logarithm if isinstance(factor, Jet) else logarithm * factor
-    return _value(sp.exp, product) if isinstance(product, Interval) else product.apply(_exp)
 
 
 def _power_slopes(
@@ -327,10 +302,27 @@ def _atanh(v: Interval) -> tuple[Interval, Interval, Interval]:
 
 
 #: (f, f′, f″) of every function of :data:`necc_casadi.symbolic.expressions.FUNCTIONS`.
-_SLOPES: dict[type[sp.Basic], Slopes] = {
-    sp.sin: sin_slopes, sp.cos: _cos, sp.tan: _tan,
-    sp.asin: _asin, sp.acos: _acos, sp.atan: _atan,
-    sp.sinh: _sinh, sp.cosh: _cosh, sp.tanh: tanh_slopes,
-    sp.asinh: _asinh, sp.acosh: _acosh, sp.atanh: _atanh,
-    sp.exp: _exp, sp.log: _log,
+_SLOPES: dict[str, Slopes] = {
+    "sin": sin_slopes, "cos": _cos, "tan": _tan,
+    "asin": _asin, "acos": _acos, "atan": _atan,
+    "sinh": _sinh, "cosh": _cosh, "tanh": tanh_slopes,
+    "asinh": _asinh, "acosh": _acosh, "atanh": _atanh,
+    "exp": _exp, "log": _log,
 }  # fmt: skip
+
+
+def _function(name: str, v: Jet | Interval) -> Jet | Interval:
+    """A function of a jet, or of an interval without its slopes."""
+    if isinstance(v, Jet):
+        return v.apply(_SLOPES[name])
+    value: Interval = getattr(v, name)()
+    return value
+
+
+_JETS: Algebra[Jet | Interval] = Algebra(
+    {name: partial(_function, name) for name in _SLOPES},
+    number=_number,
+    power=_power,
+    add=lambda parts: total(_jets_first(parts)),
+    multiply=lambda parts: product(_jets_first(parts)),
+)

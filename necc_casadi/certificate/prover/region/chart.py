@@ -261,7 +261,7 @@ class Chart:
         for _ in range(14):
             s = (low + high) / 2
             z[:, list(region.active)] = self.center + share * s * way
-            below = np.asarray(self.potential.design.lyapunov.V(z.T), float) <= region.level
+            below = self.potential.design.lyapunov.V(z) <= region.level
             low, high = (s, high) if below.all() else (low, s)
         tried = (low * (1 - slack) for slack in _SLACK)
         return next((s for s in tried if self._below(region.level, s * way)), 0.0)

@@ -186,5 +186,5 @@ def _values(potential: Potential, points: Vector) -> Vector:
     loop = potential.design.loop
     z = np.zeros((len(points), loop.n))
     z[:, list(potential.active)] = points
-    values = np.asarray(potential.design.lyapunov.V(z.T), float).ravel()
+    values = potential.design.lyapunov.V(z)
     return np.where(np.isfinite(values), values, np.inf)

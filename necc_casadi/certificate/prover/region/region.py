@@ -25,6 +25,7 @@ from necc_casadi.certificate.claims.regions import (
     RegionClaim,
 )
 from necc_casadi.certificate.claims.statements import limited_by
+from necc_casadi.certificate.claims.units import Units
 from necc_casadi.certificate.prover.arithmetic.intervals import Interval
 from necc_casadi.certificate.prover.arithmetic.potential import Potential
 from necc_casadi.certificate.prover.equilibrium import Equilibrium
@@ -66,11 +67,11 @@ class RegionProof:
     shares: Mapping[str, float]
     extent: Extent | None
 
-    def limited_by(self, states: Sequence[str]) -> str:
+    def limited_by(self, states: Sequence[str], units: Units) -> str:
         """What limits the region, in words."""
         if self.limit is None:
             return "no neighbourhood of z̄ is proved free of other critical points"
-        return limited_by(self.limit, states, self.region)
+        return limited_by(self.limit, states, self.region, units)
 
     def boxes(self) -> Interval | None:
         """Small boxes of the active states that cover the region; None where there are none."""

@@ -90,8 +90,8 @@ def test_no_state_of_the_region_leaves_it_and_all_converge(hidden):
     samples = design.z_bar + rng.uniform(-2, 2, (800, 3))
     z = np.array([s for s in samples if region.contains(design.V, s)]).T
     assert z.shape[1] > 20
-    field = design.lyapunov.vector_field.map(z.shape[1])
-    V = design.lyapunov.V.map(z.shape[1])
+    field = design.lyapunov.vector_field_function.map(z.shape[1])
+    V = design.lyapunov.V_function.map(z.shape[1])
     before, step = np.asarray(V(z)).ravel(), 0.02
     for _ in range(900):
         k1 = np.asarray(field(z))

@@ -1,0 +1,35 @@
+"""What a request may choose among, as types: the command line offers what the package knows."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+__all__ = ["Activation", "CasimirForm", "Integrator", "Mode", "PhiForm", "Precision", "Shape"]
+
+
+#: Of the hidden layers, element-wise.
+Activation = Literal["tanh", "sin", "squareplus"]
+
+
+#: C = K(Σ βᵢ(cᵢ)) or K(c₁, …, c_r).
+CasimirForm = Literal["sum", "joint"]
+
+
+#: Φ = H + Hc + C, or a network with Φ₁ > 0.
+PhiForm = Literal["sum", "neural"]
+
+
+#: What is asked of V over the domain; "none" leaves V to the conditions at z*.
+Shape = Literal["none", "regulariser", "level"]
+
+
+#: Of the training program: g = 0, t = 0 imposed, alone or over samples; or min s + t.
+Mode = Literal["hard", "shaped", "soft"]
+
+
+#: Number type of the C controller.
+Precision = Literal["double", "float"]
+
+
+#: How the C controller advances its state over a sample.
+Integrator = Literal["heun", "euler", "rk4"]

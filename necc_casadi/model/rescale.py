@@ -1,0 +1,105 @@
+"""The same loop in other units, exactly.
+
+With z = S ẑ, t = T τ, H = E Ĥ, u = U û and y = (E/TU) ŷ the loop keeps its form (eq. Plant,
+Controller, PlantControllerInterconnection):
+
+    Ĥ(x̂) = H(Sx̂)/E,  Ĵ = TE S⁻¹JS⁻¹ (R, Jc, Rc alike),  Ĝ = T S⁻¹GU,  Ĝc = E S⁻¹Gc U⁻¹.
+
+Powers of two make every number of the new loop the old one with another exponent.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+import sympy as sp
+
+from necc_casadi.arrays import Vector
+from necc_casadi.model.closed_loop import ClosedLoop
+from necc_casadi.model.controller import Controller
+from necc_casadi.model.plant import Plant
+from necc_casadi.model.sizes import Sizes, input_names
+
+__all__ = ["exactly", "rescaled_functions", "rescaled_loop"]
+
+
+def exactly(values: Vector) -> list[sp.Rational]:
+    """Floats as the rationals that they are."""
+    return [sp.Rational(*float(value).as_integer_ratio()) for value in values]
+
+
+def rescaled_loop(loop: ClosedLoop, units: Sizes) -> ClosedLoop:
+    """Plant and controller measured in `units`; names of states stay, names of units go."""
+    plant, controller = loop.plant, loop.controller
+    scale = _substitution(loop, units)
+    state = exactly(units.state)
+    energy, time = exactly(np.array([units.energy, units.time]))
+    rows, inner = state[: plant.n], state[plant.n :]
+    u = exactly(units.input)
+
+    def structure(matrix: sp.MatrixBase, size: Sequence[sp.Expr]) -> sp.ImmutableMatrix:
+        return _entries(matrix, scale, lambda i, j: time * energy / (size[i] * size[j]))
+
+    return ClosedLoop(
+        Plant(
+            name=plant.name,
+            x=plant.x,
+            J=structure(plant.J, rows),
+            R=structure(plant.R, rows),
+            G=_entries(plant.G, scale, lambda i, j: time * u[j] / rows[i]),
+            H=_scaled(plant.H, scale, 1 / energy),
+            domain={
+                name: (lo / state[loop.states.index(name)], hi / state[loop.states.index(name)])
+                for name, (lo, hi) in plant.domain.items()
+            },
+            u_limits=None
+            if plant.u_limits is None
+            else tuple(
+                (lo / float(size), hi / float(size))
+                for (lo, hi), size in zip(plant.u_limits, units.input, strict=True)
+            ),
+            sizes=_sizes(loop, units),
+            properties=plant.properties,
+        ),
+        Controller(
+            xi=controller.xi,
+            Jc=structure(controller.Jc, inner),
+            Rc=structure(controller.Rc, inner),
+            Gc=_entries(controller.Gc, scale, lambda i, j: energy / (inner[i] * u[j])),
+            properties=controller.properties,
+        ),
+    )
+
+
+def rescaled_functions(
+    functions: Sequence[sp.Expr], loop: ClosedLoop, units: Sizes
+) -> tuple[sp.Expr, ...]:
+    """c(Sẑ)/S_c for functions c of z, such as Casimirs."""
+    scale = _substitution(loop, units)
+    sizes = exactly(units.casimir)
+    return tuple(_scaled(c, scale, 1 / size) for c, size in zip(functions, sizes, strict=True))
+
+
+def _substitution(loop: ClosedLoop, units: Sizes) -> dict[sp.Symbol, sp.Expr]:
+    """Each state -> the same symbol times its unit."""
+    pairs = zip(loop.z, exactly(units.state), strict=True)
+    return {symbol: size * symbol for symbol, size in pairs if size != 1}
+
+
+def _scaled(expr: sp.Expr, scale: Mapping[sp.Symbol, sp.Expr], factor: sp.Expr) -> sp.Expr:
+    return expr.xreplace(scale) * factor
+
+
+def _entries(
+    matrix: sp.MatrixBase, scale: Mapping[sp.Symbol, sp.Expr], factor: Callable[[int, int], sp.Expr]
+) -> sp.ImmutableMatrix:
+    entries = {(i, j): _scaled(v, scale, factor(i, j)) for (i, j), v in matrix.todok().items()}
+    return sp.ImmutableMatrix(sp.SparseMatrix(*matrix.shape, entries))
+
+
+def _sizes(loop: ClosedLoop, units: Sizes) -> dict[str, sp.Expr]:
+    """The sizes that the model names, in the new units."""
+    names = (*loop.states, *input_names(loop.plant.m))
+    unit = dict(zip(names, [*exactly(units.state), *exactly(units.input)], strict=True))
+    return {name: size / unit[name] for name, size in loop.plant.sizes.items()}
