@@ -19,12 +19,12 @@ from pathlib import Path
 from typing import get_args
 
 import numpy as np
-from certificates import possible_share
 
 from necc_casadi import Design, Options, certify, design, find_casimirs, judge, load_model, simulate
 from necc_casadi.cases import Shape
 from necc_casadi.model.samples import quasi_random
 from necc_casadi.model.target import parse_target, target_from_model
+from necc_casadi.report.shares import sampled_share
 from necc_casadi.simulation.responses import default_horizon, random_states
 
 EXAMPLES = Path(__file__).parent.parent / "examples"
@@ -38,8 +38,8 @@ HORIZON, POINTS = 40.0, 2001
 class Row:
     """What was measured about one design."""
 
-    proved: float
-    possible: float | None
+    sampled: float  # share of the domain in Ω
+    height: float | None  # of what ends the region, above V(z̄)
     with_momenta: float
     level: float
     loss: float
@@ -59,7 +59,7 @@ def main() -> None:
     plants = PLANTS if arguments.only is None else arguments.only.split(",")
     print(f"{platform.processor() or platform.machine()}, {platform.python_version()}\n")
     print(
-        "| plant | shape | proved share | any level could | with momenta | level | ε | IPOPT [s] "
+        "| plant | shape | sampled share | obstacle | with momenta | level | ε | IPOPT [s] "
         "| settling [s] | peak \\|u\\| |"
     )
     print("|---|---|---|---|---|---|---|---|---|---|")
@@ -90,14 +90,16 @@ def measured(make: Callable[[Options], Design], shape: str, seed: int, starts: i
     """Design, certify and simulate."""
     made = make(Options(shape=shape, seed=seed))
     certificate = certify(made)
+    obstacle = certificate.obstacle
     best = min(made.starts, key=lambda start: start.loss)
     horizon = max(HORIZON, default_horizon(made))
     x0s = random_states(made, starts, seed=0)
     responses = [simulate(made, x0, time=horizon, points=POINTS) for x0 in x0s]
-    level = certificate.level if certificate.level is not None else -np.inf
+    sampled = sampled_share(made, certificate)
+    level = certificate.level or (np.inf if sampled == 1.0 else -np.inf)
     return Row(
-        proved=certificate.domain_share or 0.0,
-        possible=possible_share(made, made.momenta),
+        sampled=sampled or 0.0,
+        height=None if obstacle is None else obstacle.level_above_minimum,
         with_momenta=share_below(made, level),
         level=level - made.V(made.z_bar),
         loss=best.loss,
@@ -118,14 +120,15 @@ def share_below(made: Design, level: float) -> float:
 
 def line(plant: str, shape: str, rows: Sequence[Row]) -> str:
     """One row of the table."""
-    possible = [row.possible for row in rows if row.possible is not None]
+    heights = [row.height for row in rows if row.height is not None]
     settling = [time for row in rows for time in row.settling]
     settled = sum(np.isfinite(settling))
     unsettled = "" if settled == len(settling) else f", {settled} of {len(settling)} settle"
     note = "" if all(row.shaped for row in rows) else " (not always reached)"
     return (
-        f"| {plant} | {shape}{note} | {percent(row.proved for row in rows)} "
-        f"| {percent(possible) if possible else '–'} | {percent(row.with_momenta for row in rows)} "
+        f"| {plant} | {shape}{note} | {percent(row.sampled for row in rows)} "
+        f"| {spread(heights, '.2f') if heights else '–'} "
+        f"| {percent(row.with_momenta for row in rows)} "
         f"| {spread((row.level for row in rows), '.2f')} | ≤ {max(row.loss for row in rows):.0e} "
         f"| {spread((row.seconds for row in rows), '.2f')} "
         f"| {statistics.median(settling):.2f}{unsettled} "

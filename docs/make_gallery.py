@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import sympy as sp
 
-from necc_casadi import Design, certify, design
+from necc_casadi import Certificate, certify, design
 from necc_casadi.model.model_file import load_model
 from necc_casadi.pipeline.request import Request
 from necc_casadi.pipeline.run import run_design
@@ -25,9 +25,9 @@ from necc_casadi.report.figures import (
     responses_figure,
     write_figure,
 )
-from necc_casadi.report.findings import Findings, attracts, region_claim
-from necc_casadi.report.slices import ray_ends
-from necc_casadi.report.to_text import percent, rounded_down
+from necc_casadi.report.findings import Findings, attracts, global_claim, region_claim
+from necc_casadi.report.landscape_figure import landscape_figure
+from necc_casadi.report.to_text import percent
 from necc_casadi.simulation.responses import simulate
 from necc_casadi.synthesis.options import Options
 
@@ -49,12 +49,13 @@ Each plant is a short model file in `examples/`. This page is written by
 
 Every certified design below also has proofs that its Casimirs are Casimirs, that J, R, Jc, Rc, D
 and Dc have the structure that the theory asks for, and that V never increases along the
-continuous-time, unsaturated loop. *Proved region* is a lower bound of the share of the domain,
-momenta at rest, from which every solution converges (*attracts*) or which at least none leaves
-(*invariant*); *simulated* is the share of random states of the same set from which the loop
-converges in simulation, – where the target can only be stable. *Global* is what `--global`
-proves: that every solution converges, from anywhere. Coordinates of a target that are not listed
-are 0.
+continuous-time, unsaturated loop. *Proved region* is how much of the height of what ends it a
+component of {V ≤ c} around z̄ is proved to have, or the whole space: every solution from it
+converges (*attracts*), or at least none leaves it (*invariant*). *Sampled* is the share of random
+states of the domain, momenta at rest, that lie in it; *simulated* is the share of them from which
+the loop converges in simulation, – where the target can only be stable. *Global* is what
+`--global` proves: that every solution converges, from anywhere. Coordinates of a target that are
+not listed are 0.
 
 Why a design is not global: *the invariant sets are not proved …* means that V could stop
 decreasing along a motion that no input and no dissipation feels, or that J, R or G depend on the
@@ -62,8 +63,9 @@ state, which that proof does not cover; the design is then proved to attract loc
 invariant, no more.
 """
 HEADER = (
-    "| plant | target | verdict | proved stability | proved region | simulated | limited by "
-    "| global with `--global` |\n|---|---|---|---|---|---|---|---|"
+    "| plant | target | verdict | proved stability | proved region | sampled | simulated "
+    "| limited by "
+    "| global with `--global` |\n|---|---|---|---|---|---|---|---|---|"
 )
 
 
@@ -137,22 +139,32 @@ def row(run: Run) -> str:
     name = found.loop.plant.name
     link = f"[{name}](#{name.lower().replace(' ', '-')})"
     if certificate is None:
-        cells = [f"refused: `{found.verdict.reason}`", *["–"] * 5]
+        cells = [f"refused: `{found.verdict.reason}`", *["–"] * 6]
     else:
-        region = region_claim(certificate)
-        proved = region is not None and region.holds
-        share = found.simulated_share
-        kind = "attracts" if proved and attracts(region) else "invariant"
+        share, sampled = found.simulated_share, found.domain_share
         aims = certificate.stability == "asymptotic"
         cells = [
             "assignable",
             certificate.stability or "none",
-            f"≥ {percent(certificate.domain_share)}, {kind}" if proved else "none",
+            proved_region(certificate),
+            "–" if sampled is None else f"{100 * sampled:.3g} %",
             "–" if not aims else "not known" if share is None else f"{100 * share:.3g} %",
-            certificate.limited_by if proved else "–",
+            certificate.limited_by or "–",
             run.everywhere,
         ]
     return f"| {' | '.join([link, run.target, *cells])} |"
+
+
+def proved_region(certificate: Certificate) -> str:
+    """The whole space, or how much of the height of what ends the region; and what follows."""
+    whole, region = global_claim(certificate), region_claim(certificate)
+    claim = whole if whole is not None and whole.holds else region
+    if claim is None or not claim.holds:
+        return "none"
+    kind = "attracts" if attracts(claim) else "invariant"
+    if claim is whole:
+        return f"the whole space, {kind}"
+    return f"{percent(certificate.obstacle_share, 3)} of the height, {kind}"
 
 
 def section(path: Path, runs: list[Run]) -> str:
@@ -194,11 +206,14 @@ def outcome(run: Run) -> str:
     pictures = {"closed-loop responses": responses_figure(found.design, found.responses)}
     level = found.certificate.level
     if level is not None:
-        rows.append(reach(found, level) + "\n")
+        rows.append(reach(found) + "\n")
         starts = region_boundary(found.design, level)
         pictures["proved region"] = region_figure(
             found.design, level, [simulate(found.design, x0) for x0 in starts]
         )
+    landscape = landscape_figure(found.design, found.certificate)
+    if landscape is not None:
+        pictures["least V over the other states: landscape"] = landscape
     for name, figure in pictures.items():
         picture = f"{run.picture}-{name.split()[-1]}.png"
         write_figure(figure, IMAGES / picture, dpi=70)
@@ -206,28 +221,15 @@ def outcome(run: Run) -> str:
     return "\n".join(rows)
 
 
-def extent(made: Design, level: float) -> np.ndarray:
-    """Least and greatest value of each state on Ω, (n + nc, 2); computed, not proved."""
-    lo, hi = made.domain.lo, made.domain.hi
-    both = np.array([[-1.0, 1.0]])
-    sides = [(lo[[k]], hi[[k]]) for k in range(len(lo))]
-    ends = [ray_ends(made, level, [k], both, side) for k, side in enumerate(sides)]
-    return np.array(ends)[..., 0]
-
-
-def reach(found: Findings, level: float) -> str:
+def reach(found: Findings) -> str:
     """A table of how far Ω reaches in each state."""
     made, units = found.design, found.loop.plant.units
-    proved = region_claim(found.certificate).data
-    lines = ["| state | target | Ω reaches (computed) | proved at least |", "|---|---|---|---|"]
-    for name, star, (low, high) in zip(
-        made.loop.states, made.z_star, extent(made, level), strict=True
-    ):
-        half = proved.get(f"reach_{name}")
-        sure = "–" if half is None else f"± {rounded_down(half)} around z̄"
+    lines = ["| state | target | on Ω, proved |", "|---|---|---|"]
+    for name, star in zip(made.loop.states, made.z_star, strict=True):
+        low, high = found.certificate.reach[name]
         unit = f" [{units[name]}]" if name in units else ""
         star = 0.0 if np.isclose(star, 0, atol=1e-12) else star
-        lines.append(f"| {name}{unit} | {star:.4g} | {low:.3g} … {high:.3g} | {sure} |")
+        lines.append(f"| {name}{unit} | {star:.4g} | {low:.3g} … {high:.3g} |")
     return "\n".join(lines)
 
 

@@ -8,7 +8,6 @@ import sympy as sp
 
 from necc_casadi.casimirs.casimirs import Casimirs
 from necc_casadi.certificate.claims.certificate import Certificate
-from necc_casadi.certificate.claims.regions import GridRegion
 from necc_casadi.designs.design import Design
 from necc_casadi.model.model_file import Model
 from necc_casadi.model.sizes import Sizes
@@ -32,7 +31,7 @@ __all__ = [
 _NOTED_LOSS = 1e-9
 
 
-#: A proved region below this share of the domain gets a note on how it may grow.
+#: A proved region that holds less of the domain gets a note on how it may grow.
 _SMALL_SHARE = 0.1
 
 
@@ -103,14 +102,15 @@ def _size_notes(sizes: Sizes) -> list[str]:
     ]
 
 
-def region_notes(certificate: Certificate, options: Options) -> list[str]:
-    """How a small region on a grid may grow: V can be shaped for it."""
-    share = certificate.domain_share
+def region_notes(certificate: Certificate, share: float | None, options: Options) -> list[str]:
+    """How a region that ends at a pass of V may grow: V can be shaped for it.
+
+    `share` is that of the domain which was found in the region.
+    """
     plain = options.shaping is None and not (options.convex or options.learn_casimir)
-    small = (
-        share is not None and share < _SMALL_SHARE and isinstance(certificate.region, GridRegion)
-    )
-    if plain and small and options.phi == "sum":
+    obstacle = certificate.obstacle
+    at_a_pass = obstacle is not None and obstacle.kind == "critical_point"
+    if plain and at_a_pass and share is not None and share < _SMALL_SHARE and options.phi == "sum":
         return ["the proved region is small: --shape level shapes V for a larger one"]
     return []
 

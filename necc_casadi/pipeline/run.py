@@ -52,6 +52,8 @@ from necc_casadi.report.figures import (
     write_figure,
 )
 from necc_casadi.report.findings import Findings, SweepPoint
+from necc_casadi.report.landscape_figure import landscape_figure
+from necc_casadi.report.shares import sampled_share
 from necc_casadi.simulation.convergence import simulated_share
 from necc_casadi.simulation.responses import Trajectory, random_states, simulate
 from necc_casadi.synthesis.options import Options
@@ -94,7 +96,7 @@ def run_design(request: Request, say: Say) -> Findings:
     made = _designed(task, clock)
     certificate = _certified(made, clock)
     files = _saved(made, certificate, request.out)
-    motion = _simulated(made, clock)
+    motion, share = _simulated(made, clock), sampled_share(made, certificate)
     export = _exported(request, made, certificate, clock)
     sweep = () if request.sweep_a is None else _swept(request.sweep_a, task, clock)
     drawn = _drawn(request, made, certificate, motion.responses, sweep, clock)
@@ -103,13 +105,14 @@ def run_design(request: Request, say: Say) -> Findings:
         design=made,
         certificate=certificate,
         responses=motion.responses,
+        domain_share=share,
         simulated_share=motion.share,
         sampling=export.sampling,
         sweep=sweep,
         notes=(
             *task.notes,
             *design_notes(made, task.options),
-            *region_notes(certificate, task.options),
+            *region_notes(certificate, share, task.options),
             *response_notes(motion.responses, _PATIENCE),
             *export.notes,
         ),
@@ -277,6 +280,9 @@ def _drawn(
             starts = region_boundary(made, certificate.level)
             inside = [simulate(made, start) for start in starts]
             figures["region"] = region_figure(made, certificate.level, inside)
+        landscape = landscape_figure(made, certificate)
+        if landscape is not None:
+            figures["landscape"] = landscape
         if sweep:
             figures["sweep"] = sweep_figure(made, sweep)
         folder = request.out / "figures"

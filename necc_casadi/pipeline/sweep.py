@@ -11,6 +11,7 @@ from necc_casadi.designs.design import Design
 from necc_casadi.designs.measures import measure
 from necc_casadi.pipeline.clock import Say
 from necc_casadi.report.findings import SweepPoint
+from necc_casadi.report.shares import sampled_share
 from necc_casadi.simulation.convergence import simulated_share
 
 __all__ = ["sweep_a"]
@@ -38,7 +39,7 @@ def _point(a: float, made: Design, progress: str, say: Say) -> SweepPoint:
         distance=measures.distance,
         bound_paper=measures.bound_paper,
         bound_rigorous=certificate.bound_rigorous,
-        domain_share=certificate.domain_share,
+        domain_share=sampled_share(made, certificate),
         simulated_share=simulated_share(made, made.momenta, made.seed),
         limited_by=certificate.limited_by,
     )

@@ -281,7 +281,7 @@ def _shares(axis: Axes, points: Sequence[SweepPoint]) -> None:
     a = [p.a for p in points]
     series = (
         ("converges in simulation", [p.simulated_share for p in points], "o-", _INK),
-        ("proved region, at least", [p.domain_share for p in points], "^-", _MINIMUM),
+        ("in the proved region", [p.domain_share for p in points], "^-", _MINIMUM),
     )
     for label, values, style, color in series:
         shown = [np.nan if v is None else 100 * v for v in values]

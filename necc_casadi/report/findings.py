@@ -19,7 +19,7 @@ from necc_casadi.model.closed_loop import ClosedLoop
 from necc_casadi.simulation.responses import Trajectory
 from necc_casadi.verdict.verdict import Verdict
 
-__all__ = ["Findings", "SweepPoint", "attracts", "region_claim"]
+__all__ = ["Findings", "SweepPoint", "attracts", "global_claim", "region_claim"]
 
 
 #: A design whose ε, in natural units, is above this fell short, whatever else is proved.
@@ -38,7 +38,7 @@ class SweepPoint:
     distance: float  # ‖z̄ − z*‖
     bound_paper: float | None  # ε/(a − ε), None where a ≤ ε
     bound_rigorous: float | None  # g/μ, None where nothing was proved
-    domain_share: float | None = None  # at least this much is proved; None: no region is
+    domain_share: float | None = None  # sampled, in the proved region; None: none is proved
     simulated_share: float | None = None  # converges in simulation; None: not known
     limited_by: str | None = None  # what keeps the proved region from growing
 
@@ -54,7 +54,8 @@ class Findings:
     design: Design | None = None
     certificate: Certificate | None = None
     responses: Sequence[Trajectory] = ()
-    simulated_share: float | None = None  # of the domain, momenta at rest
+    domain_share: float | None = None  # of random states of the domain, momenta at rest, in Ω
+    simulated_share: float | None = None  # of such states, from which the loop converges
     sampling: SampledLoop | None = None
     sweep: Sequence[SweepPoint] = ()
     notes: tuple[str, ...] = ()
@@ -88,10 +89,19 @@ class Findings:
 
 
 def region_claim(certificate: Certificate) -> Claim | None:
-    """The claim about the region, whose data are lower bounds of what it covers."""
-    return next((claim for claim in certificate.claims if claim.name == "region"), None)
+    """The claim about the region."""
+    return _named(certificate, "region")
 
 
-def attracts(region: Claim) -> bool:
-    """Whether a proved region is one of attraction; otherwise it is invariant, no more."""
-    return region.holds and region.data.get("follows") == "converges"
+def global_claim(certificate: Certificate) -> Claim | None:
+    """The claim about the whole space."""
+    return _named(certificate, "global")
+
+
+def _named(certificate: Certificate, name: str) -> Claim | None:
+    return next((claim for claim in certificate.claims if claim.name == name), None)
+
+
+def attracts(claim: Claim) -> bool:
+    """Whether all solutions from a proved region, or from anywhere, converge; or they stay."""
+    return claim.holds and claim.data.get("follows") == "converges"

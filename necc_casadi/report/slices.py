@@ -16,7 +16,6 @@ from necc_casadi.designs.design import Design
 __all__ = [
     "Window",
     "domain_window",
-    "ray_ends",
     "shadow",
     "slice_boundary",
     "slice_values",

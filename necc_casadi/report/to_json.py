@@ -10,7 +10,7 @@ from necc_casadi.designs.design import Design
 from necc_casadi.designs.measures import Measures
 from necc_casadi.designs.outcome import Start
 from necc_casadi.files import finite
-from necc_casadi.report.findings import Findings, region_claim
+from necc_casadi.report.findings import Findings
 from necc_casadi.simulation.responses import Trajectory
 from necc_casadi.symbolic.expressions import to_text
 from necc_casadi.symbolic.floats import to_float, to_floats
@@ -33,7 +33,7 @@ def to_json(found: Findings) -> dict[str, Any]:
         else _design(found.design, found.measures, found.certificate),
         "certificate": None
         if found.certificate is None
-        else _certificate(found.certificate, found.simulated_share),
+        else _certificate(found.certificate, found),
         "sizes": None if found.design is None else found.design.named_sizes,
         "responses": [_response(r) for r in found.responses] or None,
         "sampling": None if found.sampling is None else vars(found.sampling),
@@ -101,20 +101,26 @@ def _verdict(verdict: Verdict, casimirs: Casimirs) -> dict[str, Any]:
     }
 
 
-def _certificate(certificate: Certificate, simulated_share: float | None) -> dict[str, Any]:
-    region = region_claim(certificate)
+def _certificate(certificate: Certificate, found: Findings) -> dict[str, Any]:
+    obstacle, reach = certificate.obstacle, certificate.reach
     return {
         "claims": [
             {"name": c.name, "holds": c.holds, "statement": c.statement} for c in certificate.claims
         ],
         "level": certificate.level,
+        "level_above_minimum": certificate.level_above_minimum,
         "level_u": certificate.level_u,
         "limited_by": certificate.limited_by,
-        "domain_share": certificate.domain_share,
-        "shares": None
-        if region is None or not region.holds
-        else {key: size for key, size in region.data.items() if isinstance(size, float)},
-        "simulated_share": simulated_share,
+        "obstacle": None
+        if obstacle is None
+        else {
+            "kind": obstacle.kind,
+            "at": dict(obstacle.at),
+            "level_above_minimum": obstacle.level_above_minimum,
+        },
+        "reach": None if reach is None else {name: list(ends) for name, ends in reach.items()},
+        "domain_share": found.domain_share,
+        "simulated_share": found.simulated_share,
         "global": certificate.is_global,
     }
 

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import math
 import textwrap
-from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 import sympy as sp
@@ -16,7 +14,7 @@ from necc_casadi.designs.design import Design
 from necc_casadi.designs.measures import Measures
 from necc_casadi.designs.outcome import Residual
 from necc_casadi.export.sampled_loop import SampledLoop
-from necc_casadi.report.findings import Findings, attracts, region_claim
+from necc_casadi.report.findings import Findings, attracts, global_claim, region_claim
 from necc_casadi.symbolic.expressions import to_text
 from necc_casadi.symbolic.floats import to_float
 from necc_casadi.verdict.verdict import Verdict
@@ -226,40 +224,33 @@ def _responses(found: Findings) -> str:
 
 
 def _region_rows(found: Findings, certificate: Certificate) -> list[tuple[str, str]]:
-    """The proved region beside the simulated one, so that what the proof leaves out is seen."""
-    claim = region_claim(certificate)
+    """The proved region beside what was sampled and simulated."""
+    claim, whole = region_claim(certificate), global_claim(certificate)
     proved = claim is not None and claim.holds
-    if certificate.is_global:
-        head = "the whole space is proved: every solution converges to z̄"
-        if claim is None or not proved or not claim.data["domain_share"]:
-            return [("region", head)]
-        within = (
-            f"Ω = {{V ≤ {certificate.level:.6g}}}, ≥ {percent(claim.data['domain_share'])} of it"
-        )
-        return _block(head, [("domain", within)])
+    if whole is not None and whole.holds:
+        what = "converges to z̄" if attracts(whole) else "is bounded, z̄ V's only critical point"
+        head = f"the whole space is proved: every solution {what}"
+        return _block(head, _ends(found, certificate) if proved else [])
     if claim is None or not proved:
         where = "of the domain, momenta at rest,"
         return [] if claim is None else _block("none is proved", _simulated(found, where))
-    data = claim.data
-    rows = [("proved", f"≥ {percent(data['domain_share'])} of the domain, momenta at rest")]
-    rows += _simulated(found, "there")
-    covered = (
-        ("slice", "slice_share", "from ξ(0) = ξ*"),
-        ("plant", "plant_share", "where ξ(0) may be chosen"),
-    )
-    rows += [
-        (label, f"≥ {percent(data[key])} of the plant states there, {how}")
-        for label, key, how in covered
-        if data.get(key) is not None
-    ]
-    if data.get("volume") is not None:
-        rows.append(("volume", f"≥ {rounded_down(data['volume'])}, momenta at rest"))
-    reach = _reach(found, data)
     what = "every solution converges" if attracts(claim) else "solutions stay in it"
-    head = (
-        f"Ω = {{V ≤ {certificate.level:.6g}}} around z̄: {what}; limited by {certificate.limited_by}"
-    )
-    return _block(head, rows + ([("reach", reach)] if reach else []))
+    height = rounded_down(certificate.level_above_minimum or 0.0, 4)
+    head = f"Ω = {{V − V(z̄) ≤ {height}}} around z̄: {what}"
+    rows = _ends(found, certificate)
+    if found.domain_share is not None:
+        sampled = f"{100 * found.domain_share:.3g} % of the domain, momenta at rest, is in it"
+        rows.append(("sampled", sampled))
+    return _block(head, rows + _simulated(found, "of the domain, momenta at rest,"))
+
+
+def _ends(found: Findings, certificate: Certificate) -> list[tuple[str, str]]:
+    """What the region stays below, and how far it reaches."""
+    rows, share = [("limited by", certificate.limited_by or "")], certificate.obstacle_share
+    if share is not None:
+        rows.append(("proved", f"up to {percent(share, 3)} of that height"))
+    reach = _reach(found, certificate)
+    return rows + ([("reach", reach)] if reach else [])
 
 
 def _simulated(found: Findings, where: str) -> list[tuple[str, str]]:
@@ -276,21 +267,20 @@ def _block(head: str, rows: list[tuple[str, str]]) -> list[tuple[str, str]]:
     return [("region", head), *(("", f"{label:<{_SUB}}{text}") for label, text in rows)]
 
 
-def _reach(found: Findings, data: Mapping[str, Any]) -> str:
-    """How far from z̄ states of Ω lie at least, for each state of which that is proved."""
-    units = found.loop.plant.units
+def _reach(found: Findings, certificate: Certificate) -> str:
+    """Between which values every state stays on Ω."""
+    units, reach = found.loop.plant.units, certificate.reach or {}
     parts = [
-        _tied(f"{name} ± {rounded_down(data[f'reach_{name}'])} {units.get(name, '')}".rstrip())
-        for name in found.loop.states
-        if data.get(f"reach_{name}") is not None
+        _tied(f"{name} {lo:.3g} … {hi:.3g} {units.get(name, '')}".rstrip())
+        for name, (lo, hi) in reach.items()
     ]
     more = ["…"] if len(parts) > _MANY else []
     return ", ".join(parts[:_MANY] + more)
 
 
-def percent(share: float) -> str:
+def percent(share: float, digits: int = 2) -> str:
     """A lower bound of a share, in percent."""
-    return f"{rounded_down(100 * share)} %"
+    return f"{rounded_down(100 * share, digits)} %"
 
 
 def rounded_down(value: float, digits: int = 2) -> str:

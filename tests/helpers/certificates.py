@@ -4,6 +4,16 @@ import json
 
 from necc_casadi.certificate.checker.check import check
 from necc_casadi.certificate.claims import statements
+from necc_casadi.certificate.claims.regions import Obstacle
+from necc_casadi.certificate.prover.certify import certify
+
+
+def written(design, folder):
+    """A folder with a design and its certificate."""
+    folder.mkdir(exist_ok=True)
+    design.save(folder / "design.json")
+    (folder / "certificate.json").write_text(certify(design).to_json(), encoding="utf-8")
+    return folder
 
 
 def verdicts(folder) -> dict[str, bool]:
@@ -25,10 +35,15 @@ def reword(data):
     claim(data, "equilibrium")["statement"] = statements.equilibrium(*numbers)
     attraction = claim(data, "attraction")
     attraction["statement"] = statements.attraction(attraction["data"]["rate"])
-    region = claim(data, "region")
-    follows = region["data"]["follows"]
-    size = (data["level"], data["domain_share"], data["limited_by"])
-    region["statement"] = statements.region(*size, follows)
+    if data["region"] is not None:
+        region = claim(data, "region")
+        region["statement"] = worded(data, region["data"]["follows"])
+
+
+def worded(data, follows) -> str:
+    """What a certificate's numbers say of its region."""
+    obstacle = Obstacle(**data["obstacle"])
+    return statements.region(data["level_above_minimum"], obstacle, follows)
 
 
 def claim(data, name):

@@ -15,7 +15,7 @@ def test_the_sweep_keeps_the_bounds_above_the_distance(everything):
 
 
 def test_the_sweep_says_what_is_proved_and_simulated_for_each_a(everything):
-    """No start of the proved share may fail to converge, so it cannot exceed the simulated one."""
+    """No start of the proved region may fail to converge, so it cannot exceed the simulated one."""
     for point in everything[1]["sweep"]:
         assert 0.05 < point["domain_share"] <= point["simulated_share"] + 0.05
-        assert "domain" in point["limited_by"]
+        assert "critical point" in point["limited_by"]

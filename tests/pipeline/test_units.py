@@ -13,6 +13,7 @@ from necc_casadi.casimirs.find import find_casimirs
 from necc_casadi.certificate.prover.certify import certify
 from necc_casadi.model.model_file import load_model
 from necc_casadi.model.target import parse_target
+from necc_casadi.report.shares import sampled_share
 from necc_casadi.simulation.responses import random_states, simulate
 from necc_casadi.synthesis.options import Options
 from necc_casadi.synthesis.synthesis import design
@@ -53,7 +54,8 @@ def outcome(model, x_star):
     return made, {
         "verdict": (verdict.assignable, verdict.reason, verdict.stability),
         "claims": [(claim.name, claim.holds) for claim in certificate.claims],
-        "share": certificate.domain_share,
+        "share": certificate.obstacle_share,
+        "sampled": sampled_share(made, certificate),
         "settling": [r.settling_time / made.units.time for r in responses],
         "weights": natural.weights.tolist(),
         "damping": [natural.D.tolist(), natural.Dc.tolist()],

@@ -6,22 +6,25 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from helpers.findings import with_claim
 
 from necc_casadi.designs.error_bound import loss, published_bound
 from necc_casadi.files import to_json_text
-from necc_casadi.report.findings import region_claim
 from necc_casadi.report.to_json import to_json
 
 
-def test_the_json_has_the_shares_of_the_region(found):
-    data = dict(region_claim(found.certificate).data)
-    other = with_claim(found, data=data | {"limit": {"kind": "border"}})
-    certificate = to_json(other)["certificate"]
-    assert certificate["shares"] == {k: v for k, v in data.items() if isinstance(v, float)}
-    assert certificate["shares"]["domain_share"] == certificate["domain_share"]
-    nothing = to_json(with_claim(found, holds=False, data={}))["certificate"]
-    assert nothing["shares"] is None
+def test_the_json_says_what_ends_the_region(found):
+    certificate, obstacle = to_json(found)["certificate"], found.certificate.obstacle
+    assert certificate["obstacle"] == {
+        "kind": obstacle.kind,
+        "at": dict(obstacle.at),
+        "level_above_minimum": obstacle.level_above_minimum,
+    }
+    assert certificate["level_above_minimum"] < obstacle.level_above_minimum
+    assert set(certificate["reach"]) == set(found.loop.states)
+    assert certificate["domain_share"] == found.domain_share
+    bare = replace(found.certificate, obstacle=None, reach=None, level_above_minimum=None)
+    nothing = to_json(replace(found, certificate=bare))["certificate"]
+    assert nothing["obstacle"] is nothing["reach"] is nothing["limited_by"] is None
 
 
 def test_the_design_is_measured_from_its_weights(found):

@@ -21,32 +21,36 @@ def block(found, width=98) -> list[str]:
     return [line.strip() for line in lines[start:end]]
 
 
-def test_the_proved_share_stands_beside_the_simulated_one(found):
+def test_what_ends_the_region_stands_beside_its_height(found):
     head, *rows = block(found)
-    assert f"V ≤ {found.certificate.level:.6g}" in head
+    certificate = found.certificate
+    assert f"V − V(z̄) ≤ {rounded_down(certificate.level_above_minimum, 4)}" in head
     assert "every solution converges" in head
-    assert found.certificate.limited_by.split(",")[0] in head
-    proved, simulated = (next(r for r in rows if r.startswith(w)) for w in ("proved", "simulated"))
-    share = float(re.search(r"≥ (\S+) %", proved)[1]) / 100
-    assert found.certificate.domain_share * 0.95 <= share <= found.certificate.domain_share
+    text = " ".join(rows)
+    assert "limited by another critical point of V at q = " in re.sub(" +", " ", text)
+    share = float(re.search(r"up to (\S+) % of that height", text)[1]) / 100
+    assert certificate.obstacle_share * 0.99 <= share <= certificate.obstacle_share
+
+
+def test_how_far_the_region_reaches_is_shown_with_units(found):
+    text = " ".join(block(found)).replace("\n", " ")
+    for name, (lo, hi) in found.certificate.reach.items():
+        assert f"{name} {lo:.3g} … {hi:.3g}" in text
+    assert re.search(r"q \S+ … \S+ rad", text)
+
+
+def test_sampled_and_simulated_shares_are_called_what_they_are(found):
+    rows = block(found)
+    sampled, simulated = (
+        next(r for r in rows if r.startswith(word)) for word in ("sampled", "simulated")
+    )
+    assert "41.5 % of the domain" in sampled
     assert "99.5 %" in simulated
-    assert rows.index(simulated) == rows.index(proved) + 1
-
-
-def test_what_the_certificate_knows_of_the_region_is_shown(found):
-    data = {"domain_share": 1.234e-7, "slice_share": 0.5, "plant_share": 0.999, "volume": 2.39,
-            "reach_q": 0.1299, "reach_xi1": 0.08}  # fmt: skip
-    text = "\n".join(block(with_claim(found, data=data)))
-    for piece in ("≥ 1.2e-05 %", "≥ 50 %", "≥ 99 %", "≥ 2.3", "q ± 0.12 rad", "xi1 ± 0.08"):
-        assert piece in text
-    bare = "\n".join(block(with_claim(found, data={"domain_share": 0.25})))
-    assert "≥ 25 %" in bare
-    assert not re.search("slice|plant|volume|reach", bare)
+    assert "sampled" not in "\n".join(block(replace(found, domain_share=None)))
 
 
 def test_an_invariant_region_is_not_called_one_of_attraction(found):
-    weaker = dict(region_claim(found.certificate).data) | {"follows": "invariant"}
-    head = block(with_claim(found, data=weaker))[0]
+    head = block(with_claim(found, data={"follows": "invariant"}))[0]
     assert "solutions stay in it" in head
     assert "converge" not in head
     assert attracts(region_claim(found.certificate))
@@ -59,18 +63,26 @@ def test_no_region_is_said_so(found):
     assert "99.5 % of random states of the domain" in rows[1]
 
 
-def test_a_global_proof_is_the_region(found):
-    """What fits into the domain is then the smaller statement, or missing."""
-    whole = replace(found.certificate, is_global=True)
-    head, domain, *rest = block(replace(found, certificate=whole))
-    assert "the whole space" in head
-    assert "30 % of it" in domain
-    assert not rest
-    claims = tuple(claim for claim in whole.claims if claim.name != "region")
-    bare = replace(found, certificate=replace(whole, claims=claims, level=None))
+def with_global(found, follows):
+    claims = tuple(
+        replace(claim, holds=True, data={"follows": follows}) if claim.name == "global" else claim
+        for claim in found.certificate.claims
+    )
+    return replace(found, certificate=replace(found.certificate, claims=claims))
+
+
+def test_the_whole_space_is_the_region(found):
+    """What is claimed inside bounds stands below it, or is missing."""
+    whole = with_global(found, "converges")
+    head, *rows = block(whole)
+    assert "the whole space is proved: every solution converges" in head
+    assert rows[0].startswith("limited by")
+    claims = tuple(claim for claim in whole.certificate.claims if claim.name != "region")
+    bare = replace(whole, certificate=replace(whole.certificate, claims=claims, level=None))
     assert block(bare) == [head]
-    empty = with_claim(replace(found, certificate=whole), data={"domain_share": 0.0})
-    assert block(empty) == [head]
+    weaker = block(with_global(found, "invariant"))[0]
+    assert "bounded" in weaker
+    assert "converges" not in weaker
 
 
 def test_convergence_is_not_measured_where_nothing_is_to_converge(found):
@@ -81,11 +93,10 @@ def test_convergence_is_not_measured_where_nothing_is_to_converge(found):
 
 @pytest.mark.parametrize("width", [60, 80, 98])
 def test_the_page_fits_the_terminal(found, width):
-    data = {f"reach_{name}": 0.123 for name in found.loop.states} | {"domain_share": 0.1}
-    page = summary(with_claim(found, data=data), width)
+    page = summary(found, width)
     assert max(map(len, page.splitlines())) <= width
     assert "\N{NO-BREAK SPACE}" not in page
-    assert "p ± 0.12 kg m²/s" in page  # not torn apart
+    assert re.search(r"p \S+ … \S+ kg m²/s", page)  # not torn apart
 
 
 @given(st.floats(1e-300, 1e300), st.integers(1, 6))

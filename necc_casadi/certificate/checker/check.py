@@ -20,7 +20,7 @@ from necc_casadi.certificate.checker.evidence import Checked, Evidence
 from necc_casadi.certificate.checker.global_stability import check_global
 from necc_casadi.certificate.checker.input_limits import check_input_limits
 from necc_casadi.certificate.checker.model import StoredDesign
-from necc_casadi.certificate.checker.region.region import check_region, region_proof
+from necc_casadi.certificate.checker.region.region import RegionProof, check_region
 from necc_casadi.certificate.claims.claim import CERTIFICATE_FILE, DESIGN_FILE
 from necc_casadi.certificate.claims.fields import read_fields
 from necc_casadi.errors import OutputError
@@ -85,13 +85,14 @@ def _everything(evidence: Evidence) -> list[Checked]:
     attracts = certificate.stability == "asymptotic"
     settled = (check_attraction if attracts else check_only_stable)(evidence, sound)
     results = [equilibrium, *decrease, settled]
-    proof, region_holds = region_proof(evidence), False
+    region = certificate.region
+    proof, region_holds = None if region is None else RegionProof(evidence, region), False
     if "region" in evidence.claims or certificate.region is not None:
-        region = check_region(evidence, proof, settled.holds)
-        region_holds = region.holds
-        results.append(region)
+        checked = check_region(evidence, proof, settled.holds)
+        region_holds = checked.holds
+        results.append(checked)
     if evidence.claimed("input_limits") or certificate.level_u is not None:
         results.append(check_input_limits(evidence, proof, region_holds))
     if evidence.claimed("global") or certificate.is_global:
-        results.append(check_global(evidence, settled.holds and attracts))
+        results.append(check_global(evidence, settled.holds))
     return results

@@ -12,7 +12,7 @@ __all__ = ["check_contents"]
 
 #: Fields that say something only beside a held claim.
 _BESIDE = {
-    "region": ("level", "limited_by", "domain_share", "region"),
+    "region": ("level", "level_above_minimum", "obstacle", "reach", "region"),
     "input_limits": ("level_u",),
 }
 
@@ -46,7 +46,9 @@ def _stray(evidence: Evidence) -> list[str]:
     """Fields that are at odds with the claims."""
     certificate = evidence.certificate
     left = []
-    if certificate.is_global is not evidence.claimed("global"):
+    everywhere = evidence.claimed("global")
+    converges = everywhere and evidence.claims["global"].data["follows"] == "converges"
+    if certificate.is_global is not converges:
         left.append("is_global")
     for name, fields in _BESIDE.items():
         if not evidence.claimed(name):

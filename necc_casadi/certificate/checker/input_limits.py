@@ -9,7 +9,7 @@ from necc_casadi.certificate.checker.arithmetic.balls import Box, ball, by_bisec
 from necc_casadi.certificate.checker.arithmetic.potential import Energy
 from necc_casadi.certificate.checker.evidence import Checked, Evidence
 from necc_casadi.certificate.checker.model import StoredDesign
-from necc_casadi.certificate.checker.region.proof import RegionProof
+from necc_casadi.certificate.checker.region.region import RegionProof
 from necc_casadi.certificate.claims import statements
 
 __all__ = ["InputProof", "check_input_limits"]
@@ -84,25 +84,26 @@ class InputProof:
 def check_input_limits(evidence: Evidence, proof: RegionProof | None, sound: bool) -> Checked:
     """U stays within the model's limits wherever V ≤ c_u on the cells of the region."""
     level, limits = evidence.certificate.level_u, evidence.model.stated_limits
-    energy_unit = evidence.model.units.energy
+    unit = evidence.model.units.energy
     if level is None or limits is None or proof is None or not sound:
         given = level is not None and limits is not None and proof is not None
         missing = "a proved region" if given else "limits, a level or a region in the files"
         text = f"no input limits are proved to be kept, for want of {missing}"
         return Checked("input_limits", False, text)
-    boxes, region = proof.boxes(), proof.region
-    if boxes is None:
-        return Checked("input_limits", False, "no input limits in the coordinates (c, ξ)")
-    energy, z_bar = proof.energy, evidence.z_bar(region.active)
-    natural = level / energy_unit
-    inputs = InputProof(evidence.model, energy, natural)
+    height = float(evidence.claims["input_limits"].data["level_above_minimum"])
+    natural, region, bottom = level / unit, proof.region, proof.bottom
+    inputs = InputProof(evidence.model, proof.energy, natural)
     return Checked.by(
         "input_limits",
-        statements.input_limits(limits, level, region.level * energy_unit),
+        statements.input_limits(limits, height, natural == region.level),
         [
-            ("V(z̄) < c_u", lambda: bool(energy.value(z_bar) < natural)),
+            ("V(z̄) < c_u", lambda: bool(bottom < natural)),
+            ("c_u is as high above V(z̄)", lambda: bool(bottom + height / unit <= natural)),
             ("c_u ≤ c", lambda: natural <= region.level),
             ("the momenta enter u through Gᵀ Φ₁ A s alone", inputs.covered),
-            ("u is within its limits where V ≤ c_u", lambda: all(map(inputs.kept, boxes))),
+            (
+                "u is within its limits where V ≤ c_u",
+                lambda: all(map(inputs.kept, proof.boxes(natural))),
+            ),
         ],
     )

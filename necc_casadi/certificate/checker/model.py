@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+import math
+from collections.abc import Callable, Mapping
 from functools import cached_property
 from typing import Any
 
 import sympy as sp
 from flint import arb
 
-from necc_casadi.certificate.checker.arithmetic.balls import evaluate
+from necc_casadi.certificate.checker.arithmetic.balls import ends, evaluate
 from necc_casadi.certificate.checker.units import StoredUnits, divided, numbers, rationals
 from necc_casadi.symbolic.expressions import parse
 
@@ -106,24 +107,13 @@ class StoredDesign:
         return [evaluate(v, {}) for v in self.target] + [arb(v) for v in self.xi_star]
 
     @cached_property
-    def bounds(self) -> list[tuple[arb, arb]]:
-        """The domain; target ± 2 sizes where the model names none."""
-        result = []
-        for i, (name, at) in enumerate(zip(self.states, self.target_balls(), strict=True)):
-            sides, size = self.domain.get(name), arb(self._scale.size[i])
-            around = [at - 2 * size, at + 2 * size]
-            lo, hi = around if sides is None else [evaluate(v, {}) for v in sides]
-            result.append((lo, hi))
+    def named_bounds(self) -> list[tuple[float, float]]:
+        """The bounds that the model names, rounded inwards; ±∞ where it names none."""
+        result = [(-math.inf, math.inf)] * len(self.z)
+        for name, sides in self.domain.items():
+            lo, hi = (ends(evaluate(v, {})) for v in sides)
+            result[self.states.index(name)] = (lo[1], hi[0])
         return result
-
-    def in_domain(
-        self, states: Sequence[int], sides: Iterable[tuple[arb | float, arb | float]]
-    ) -> bool:
-        """Whether a box of some of the states, by ends that are numbers or balls, is inside."""
-        return all(
-            bool(self.bounds[i][0] <= lo) and bool(hi <= self.bounds[i][1])
-            for i, (lo, hi) in zip(states, sides, strict=True)
-        )
 
     @property
     def delta(self) -> float:

@@ -4,13 +4,20 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
+from necc_casadi.certificate.claims import statements
 from necc_casadi.certificate.claims.claim import CERTIFICATE_FILE, CERTIFICATE_FORMAT, Claim
 from necc_casadi.certificate.claims.fields import read_as
-from necc_casadi.certificate.claims.regions import RegionClaim, Stability, read_region
+from necc_casadi.certificate.claims.regions import (
+    Lyapunov,
+    Obstacle,
+    Region,
+    Side,
+    Stability,
+)
 from necc_casadi.certificate.claims.units import Units
 from necc_casadi.errors import OutputError
 
@@ -48,11 +55,12 @@ class Certificate:
     bound_rigorous: float | None  # ‖z̄ − z*‖ ≤ g/μ
     stability: Stability | None
     level: float | None = None  # c of the region {V ≤ c}
+    level_above_minimum: float | None = None  # c − V(z̄) is at least this
     level_u: float | None = None  # c_u ≤ c with u within its limits on {V ≤ c_u}
-    limited_by: str | None = None
-    domain_share: float | None = None  # of the domain, momenta at rest: a lower bound
+    obstacle: Obstacle | None = None  # what the region stays just below
+    reach: Mapping[str, Side] | None = None  # state → least and greatest value on the region
     is_global: bool = False
-    region: RegionClaim | None = None  # in natural units
+    region: Region | None = None  # in natural units
 
     @property
     def certified(self) -> bool:
@@ -61,6 +69,25 @@ class Certificate:
         held = {claim.name for claim in self.claims if claim.holds}
         needed = {"equilibrium", "decrease"} | (made & {"region"})
         return needed <= held and self.stability is not None
+
+    @property
+    def limited_by(self) -> str | None:
+        """What the region stays just below, in words."""
+        return None if self.obstacle is None else statements.limited_by(self.obstacle)
+
+    @property
+    def obstacle_share(self) -> float | None:
+        """How much of the obstacle's height above V(z̄) the region reaches."""
+        if self.obstacle is None or self.level_above_minimum is None:
+            return None
+        return self.level_above_minimum / self.obstacle.level_above_minimum
+
+    def contains(self, V: Lyapunov, z: Sequence[float]) -> bool:
+        """Whether a state z (N,) is in Ω, by plain evaluation of V; False where none is proved."""
+        if self.region is None:
+            return False
+        natural = [v / unit for v, unit in zip(z, self.units.state, strict=True)]
+        return self.region.contains(lambda _: V(z) / self.units.energy, natural)
 
     def to_json(self) -> str:
         """The content of certificate.json."""
@@ -97,7 +124,7 @@ class Certificate:
         """
         if (found := data["format"]) != CERTIFICATE_FORMAT:
             raise OutputError("output", f"{label} has format {found!r:.20}", _REMEDY)
-        return read_as(cls, data, region=read_region)
+        return read_as(cls, data)
 
 
 _REMEDY = f"Run necc-design again; this version reads format {CERTIFICATE_FORMAT}."

@@ -119,7 +119,8 @@ def _typed(hint: Any, value: Any, name: str) -> Any:
         if len(inner) == len(value):
             return tuple(_typed(h, v, name) for h, v in zip(inner, value, strict=True))
     if origin is Mapping and isinstance(value, Mapping):
-        return value
+        each = parts[1]
+        return value if each is Any else {k: _typed(each, value[k], f"{name}.{k}") for k in value}
     if dataclasses.is_dataclass(hint) and isinstance(hint, type):
         return read_as(hint, value)
     if _is_plain(hint, value) or (origin is Literal and value in parts):

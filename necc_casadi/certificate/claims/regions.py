@@ -1,15 +1,13 @@
-"""Regions as data: what maker and checker both read.
-
-How a region is cut into boxes, and what its box is, each side works out for itself.
-"""
+"""Regions as data: what maker and checker both read."""
 
 from __future__ import annotations
 
 import base64
 import zlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, Protocol
+from functools import cached_property
+from typing import Any, Literal
 
 import numpy as np
 
@@ -17,206 +15,178 @@ from necc_casadi.arrays import Truth, Vector
 from necc_casadi.certificate.claims.fields import read_as
 
 __all__ = [
-    "Block",
-    "ChartRegion",
-    "EllipsoidRegion",
+    "MOST_CELLS",
+    "Bends",
+    "CellBox",
     "Follows",
-    "Grid",
-    "GridRegion",
-    "Kind",
-    "LimitedBy",
+    "GlobalClaim",
+    "Leaf",
     "Lyapunov",
-    "Method",
-    "RegionClaim",
+    "Obstacle",
+    "ObstacleKind",
+    "Region",
     "Rows",
+    "Side",
     "Stability",
     "numbers",
-    "read_region",
+    "packed",
     "rows",
 ]
 
 
 Rows = tuple[tuple[float, ...], ...]
-#: First and last cell of a block, ends included.
-Block = tuple[tuple[int, ...], tuple[int, ...]]
+Side = tuple[float, float]
+#: A cell: its depth, and its index there.
+Leaf = tuple[int, tuple[int, ...]]
 #: V as a function of all states.
 Lyapunov = Callable[[Sequence[float]], float]
+#: Numbers below f″ of Hc and of K without their quadratic parts, where the line was searched.
+Bends = tuple[float | None, float | None]
 
 #: What is proved of z̄.
 Stability = Literal["asymptotic", "stable"]
 #: What is proved of solutions from a region: all go to z̄, some do, or they stay.
 Follows = Literal["converges", "invariant", "stable"]
-#: How a region is described and proved.
-Method = Literal["grid", "ellipsoid", "chart"]
-#: What stops a search: a momentum, the border of the domain or of the cells, a possible critical
-#: point, a pole of the loop, or nothing but the method itself.
-Kind = Literal["momentum", "border", "cells", "critical", "undefined", "method"]
+#: What a region ends at: another critical point of V, a pole of the model, the user's own bounds of
+#: states or inputs; or the proof gave up below one of these.
+ObstacleKind = Literal["critical_point", "singularity", "domain", "input_limits", "arithmetic"]
 
-#: What stops a flood of cells at one of them.
-_AT_A_CELL: frozenset[Kind] = frozenset({"border", "cells", "critical"})
+#: Cells that a region may have, and how often one of its first cells may be halved.
+MOST_CELLS, _DEEPEST = 200_000, 40
 
 
 @dataclass(frozen=True)
-class LimitedBy:
-    """What stopped the search for a larger region."""
+class Obstacle:
+    """What the region stays just below, in the units of the model."""
 
-    kind: Kind
-    at: tuple[int, ...] = ()  # index of the momentum in z, or of the cell in the grid
+    kind: ObstacleKind
+    at: Mapping[str, float]  # state → value; empty where it is no place
+    level_above_minimum: float  # V − V(z̄) there
+
+
+@dataclass(frozen=True)
+class CellBox:
+    """A box that is cut into n cells a side, and each of them into halves as often as needed.
+
+    The ends of cell i at depth k are lo + i·(side/(n·2ᵏ)), in doubles.
+    """
+
+    lo: tuple[float, ...]  # (ds,)
+    side: tuple[float, ...]
+    parts: int  # n
+
+    def cell(self, leaf: Leaf) -> tuple[Side, ...]:
+        """A cell, (ds,)."""
+        depth, index = leaf
+        count = self.parts * 2.0**depth
+        steps = [side / count for side in self.side]
+        return tuple(
+            (lo + i * step, lo + (i + 1) * step)
+            for lo, i, step in zip(self.lo, index, steps, strict=True)
+        )
 
     @property
-    def names_a_cell(self) -> bool:
-        """Whether `at` is a cell."""
-        return self.kind in _AT_A_CELL
+    def whole(self) -> tuple[Side, ...]:
+        """The box, (ds,): first ends of its first cells, last ends of its last."""
+        first = self.cell((0, (0,) * len(self.lo)))
+        last = self.cell((0, (self.parts - 1,) * len(self.lo)))
+        return tuple((lo, hi) for (lo, _), (_, hi) in zip(first, last, strict=True))
+
+
+@dataclass(frozen=True)
+class Region:
+    """Ω = {(s, e, p): s in a marked cell, V ≤ c}; the states e are minimised out, V_ee ⪰ F."""
+
+    level: float  # c
+    active: tuple[int, ...]  # the states y = (s, e), indices in z; the others are momenta p
+    kept: tuple[int, ...]  # s, positions in `active`
+    floor: Rows  # F
+    bends: Bends  # what F rests on
+    box: CellBox  # of s
+    core: tuple[Side, ...]  # around s̄, with ∇²w ≻ 0
+    cells: str  # the marked cells, see `packed`
+
+    @cached_property
+    def leaves(self) -> tuple[Leaf, ...]:
+        """The marked cells.
+
+        Raises
+        ------
+        ValueError
+            When they do not unpack to cells of the box, each named once.
+        """
+        width = len(self.kept) + 1
+        unpacker = zlib.decompressobj()
+        most = 4 * width * MOST_CELLS
+        data = unpacker.decompress(base64.b64decode(self.cells, validate=True), most + 1)
+        if len(data) > most or len(data) % (4 * width) or not data:
+            raise ValueError("the cells of the region are not what they should be")
+        table = np.frombuffer(data, dtype="<i4").reshape(-1, width).astype(np.int64)
+        depth, index = table[:, 0], table[:, 1:]
+        sound = (depth >= 0) & (depth <= _DEEPEST) & (index >= 0).all(1)
+        count = self.box.parts * 2.0 ** np.clip(depth, 0, _DEEPEST)
+        if not (sound & (index < count[:, None]).all(1)).all():
+            raise ValueError("the region has a cell outside of its box")
+        if len(np.unique(table, axis=0)) < len(table):
+            raise ValueError("the region names a cell twice")
+        return tuple((int(row[0]), tuple(map(int, row[1:]))) for row in table)
+
+    def contains(self, V: Lyapunov, z: Sequence[float]) -> bool:
+        """Whether z is in Ω, by plain evaluation of V."""
+        s = np.array([[float(z[self.active[i]]) for i in self.kept]])
+        return bool(self.covers(s)[0]) and V(z) <= self.level
+
+    def covers(self, s: Vector) -> Truth:
+        """Whether points (B, ds) are in marked cells, (B,)."""
+        shares = (s - np.array(self.box.lo)) / np.array(self.box.side)
+        inside: Truth = ((shares >= 0) & (shares <= 1)).all(1)
+        found = np.zeros(len(s), dtype=bool)
+        for depth, marked in self._by_depth.items():
+            count = self.box.parts * 2**depth
+            index = np.clip((shares * count), 0, count - 1).astype(np.int64)
+            found |= np.array([tuple(row) in marked for row in index.tolist()], dtype=bool)
+        return inside & found
+
+    @cached_property
+    def _by_depth(self) -> dict[int, set[tuple[int, ...]]]:
+        result: dict[int, set[tuple[int, ...]]] = {}
+        for depth, index in self.leaves:
+            result.setdefault(depth, set()).add(index)
+        return result
+
+
+@dataclass(frozen=True)
+class GlobalClaim:
+    """V is radially unbounded and has one critical point; V_ee ⪰ F ≻ 0 for every e."""
+
+    active: tuple[int, ...]  # the states y = (s, e); the others are momenta
+    kept: tuple[int, ...]  # s, positions in `active`
+    floor: Rows  # F
+    bends: Bends  # what F rests on
+    core: tuple[Side, ...]  # around s̄, with ∇²w ≻ 0
+    follows: Follows
 
     @property
     def data(self) -> dict[str, Any]:
-        """The entry of certificate.json."""
-        return {"kind": self.kind, "at": list(self.at)}
+        """The entries of certificate.json."""
+        return dict(vars(self))
+
+    @classmethod
+    def read(cls, data: Mapping[str, Any]) -> GlobalClaim:
+        """The claim from these entries.
+
+        Raises
+        ------
+        KeyError, ValueError
+            When an entry is missing or has another type.
+        """
+        return read_as(cls, data)
 
 
-class RegionClaim(Protocol):
-    """What every region says: Ω is a component of {V ≤ c}, described in the active states."""
-
-    @property
-    def method(self) -> Method:
-        """How it is described."""
-        ...
-
-    @property
-    def level(self) -> float:
-        """The level c."""
-        ...
-
-    @property
-    def active(self) -> tuple[int, ...]:
-        """The states y; the others are momenta."""
-        ...
-
-    def contains(self, V: Lyapunov, z: Sequence[float]) -> bool:
-        """Whether z is in Ω, by plain evaluation of V."""
-        ...
-
-    def place(self, limit: LimitedBy) -> list[float]:
-        """Where in the active states a limit is; empty where it is no place."""
-        ...
-
-
-@dataclass(frozen=True, eq=False)
-class Grid:
-    """Cells [kᵢhᵢ, (kᵢ+1)hᵢ] with first ≤ k < first + shape; hᵢ are powers of two, so exact."""
-
-    first: tuple[int, ...]  # (d,)
-    shape: tuple[int, ...]  # (d,)
-    step: tuple[float, ...]  # (d,)
-
-    @property
-    def size(self) -> int:
-        """Number of cells."""
-        return int(np.prod(self.shape))
-
-    def cell_of(self, y: Vector) -> tuple[int, ...] | None:
-        """The cell that holds a point (d,), by plain division; None outside of the grid."""
-        index = np.floor(np.asarray(y, float) / np.array(self.step)).astype(int) - self.first
-        inside = bool(np.all(index >= 0) and np.all(index < np.array(self.shape)))
-        return tuple(map(int, index)) if inside else None
-
-
-@dataclass(frozen=True)
-class GridRegion:
-    """Ω as a level and the grid cells that hold the component of {V(y, 0) ≤ c}."""
-
-    level: float  # c
-    active: tuple[int, ...]  # the states y
-    first: tuple[int, ...]  # grid, see Grid
-    shape: tuple[int, ...]
-    step: tuple[float, ...]
-    convex_block: Block  # of cells around z̄ with ∇²V ≻ 0
-    cells: str  # bits of the component, compressed, base 64
-    method: Literal["grid"] = "grid"
-
-    @property
-    def grid(self) -> Grid:
-        """The cells."""
-        return Grid(self.first, self.shape, self.step)
-
-    @property
-    def mask(self) -> Truth:
-        """The cells of the component, in the shape of the grid."""
-        bits = np.frombuffer(zlib.decompress(base64.b64decode(self.cells)), dtype=np.uint8)
-        count = int(np.prod(self.shape))
-        return np.unpackbits(bits, count=count).astype(bool).reshape(self.shape)
-
-    def contains(self, V: Lyapunov, z: Sequence[float]) -> bool:
-        """Whether z is in Ω, by plain evaluation of V."""
-        cell = self.grid.cell_of(np.asarray(z, float)[list(self.active)])
-        return cell is not None and bool(self.mask[cell]) and V(z) <= self.level
-
-    def place(self, limit: LimitedBy) -> list[float]:
-        """Middle of the cell of a limit, exact where the steps are powers of two."""
-        if not limit.names_a_cell:
-            return []
-        parts = zip(self.first, limit.at, self.step, strict=True)
-        return [(f + k + 0.5) * h for f, k, h in parts]
-
-
-@dataclass(frozen=True)
-class EllipsoidRegion:
-    """Ω as a level and the ellipsoid that holds the component of {V(y, 0) ≤ c}, by shells of it."""
-
-    level: float  # c
-    active: tuple[int, ...]  # the states y
-    center: tuple[float, ...]  # ȳ
-    L: Rows  # lower triangular; |e| = ‖Lᵀe‖ for e = y − ȳ
-    radii: tuple[float, ...]  # outer radius of each shell
-    nu: tuple[float, ...]  # ∇²V ⪰ νLLᵀ on each shell
-    step: tuple[float, ...]  # sides of the cells that cover it
-    above: float  # ∇²V ⪯ above·LLᵀ on the ellipsoid
-    method: Literal["ellipsoid"] = "ellipsoid"
-
-    def contains(self, V: Lyapunov, z: Sequence[float]) -> bool:
-        """Whether z is in Ω, by plain evaluation of V."""
-        e = np.asarray(z, float)[list(self.active)] - np.array(self.center)
-        inside = np.linalg.norm(np.array(self.L).T @ e) <= self.radii[-1]
-        return bool(inside and V(z) <= self.level)
-
-    def place(self, limit: LimitedBy) -> list[float]:
-        """No limit of an ellipsoid is a place."""
-        return []
-
-
-@dataclass(frozen=True)
-class ChartRegion:
-    """Ω as a level and what proves it: scales, shells, and the box of the fibre."""
-
-    level: float  # c
-    active: tuple[int, ...]  # the states y = (q, ξ)
-    center: tuple[float, ...]  # ȳ
-    middle: tuple[float, ...]  # c̄
-    scale_k: Rows  # A_K, r × r
-    scale_h: Rows  # A_H, nc × nc
-    radii_k: tuple[float, ...]  # shells of K in |α|
-    nu_k: tuple[float, ...]  # ∇²K ⪰ ν A_KᵀA_K on them
-    radii_h: tuple[float, ...]  # shells of Hc in |η|
-    nu_h: tuple[float, ...]
-    above: float  # ∇²K ⪯ above·A_KᵀA_K and ∇²Hc ⪯ above·A_HᵀA_H on the shells
-    a: float  # |α| ≤ a and
-    b: float  # |η| ≤ b in Ω
-    fibre: Rows  # (lo, hi) of the box around |α| ≤ a at ξ̄
-    method: Literal["chart"] = "chart"
-
-    def contains(self, V: Lyapunov, z: Sequence[float]) -> bool:
-        """Whether V ≤ c on the straight way to z, by plain evaluation; sufficient for z in Ω."""
-        end, r = np.asarray(z, float), len(self.middle)
-        start = end.copy()
-        start[list(self.active)] = self.center
-        path = start + np.linspace(0.0, 1.0, 65)[:, None] * (end - start)
-        eta = (path[:, list(self.active[r:])] - self.center[r:]) @ np.array(self.scale_h).T
-        near = bool((np.linalg.norm(eta, axis=1) <= self.b).all())
-        return near and all(V(way) <= self.level for way in path)
-
-    def place(self, limit: LimitedBy) -> list[float]:
-        """No limit of a region in the coordinates (c, ξ) is a place."""
-        return []
+def packed(leaves: Iterable[Leaf]) -> str:
+    """Cells as text: depth and index in 32-bit integers, sorted, compressed, base 64."""
+    table = [[depth, *index] for depth, index in sorted(leaves)]
+    return base64.b64encode(zlib.compress(np.array(table, dtype="<i4").tobytes(), 9)).decode()
 
 
 def numbers(v: Vector) -> tuple[float, ...]:
@@ -227,23 +197,3 @@ def numbers(v: Vector) -> tuple[float, ...]:
 def rows(A: Vector) -> Rows:
     """A matrix as data, row by row."""
     return tuple(numbers(row) for row in A)
-
-
-_KINDS: dict[str, type[GridRegion] | type[EllipsoidRegion] | type[ChartRegion]] = {
-    "grid": GridRegion,
-    "ellipsoid": EllipsoidRegion,
-    "chart": ChartRegion,
-}
-
-
-def read_region(data: Mapping[str, Any]) -> RegionClaim:
-    """A region from its entry of certificate.json.
-
-    Raises
-    ------
-    KeyError, ValueError
-        When an entry is missing or has another type.
-    """
-    if data["method"] not in _KINDS:
-        raise ValueError(f"no region of the method {data['method']!r:.20}")
-    return read_as(_KINDS[data["method"]], data)

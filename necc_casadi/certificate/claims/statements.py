@@ -11,8 +11,7 @@ import math
 from collections.abc import Sequence
 from decimal import ROUND_CEILING, ROUND_FLOOR, Decimal
 
-from necc_casadi.certificate.claims.regions import Follows, Kind, LimitedBy, Method, RegionClaim
-from necc_casadi.certificate.claims.units import Units
+from necc_casadi.certificate.claims.regions import Follows, Obstacle, ObstacleKind
 
 __all__ = [
     "DAMPING",
@@ -45,22 +44,35 @@ DECREASE = (
 )
 
 
-GLOBAL = "z̄ is globally asymptotically stable: every solution converges to it"
+_BOUNDED = (
+    "V is radially unbounded and z̄ its only critical point: every solution is bounded, and V never "
+    "rises along it"
+)
+
+
+#: What follows for solutions from anywhere.
+GLOBAL: dict[Follows, str] = {
+    "converges": "z̄ is globally asymptotically stable: every solution converges to it",
+    "invariant": f"{_BOUNDED}; z̄ is locally asymptotically stable",
+    "stable": f"{_BOUNDED}; z̄ is stable",
+}
 
 
 #: What follows for solutions from a region.
 _FOLLOWS: dict[Follows, str] = {
     "converges": "; every solution from Ω converges to z̄",
     "invariant": "; Ω is invariant, and z̄ locally asymptotically stable",
-    "stable": " and is invariant; z̄ is stable",
+    "stable": "; Ω is invariant, and z̄ stable",
 }
 
 
-#: What stops a flood of cells at one of them.
-_AT_A_CELL: dict[Kind, str] = {
-    "border": "the domain",
-    "cells": "the width of the cells",
-    "critical": "a possible critical point",
+#: What a region ends at.
+_OBSTACLES: dict[ObstacleKind, str] = {
+    "critical_point": "another critical point of V",
+    "singularity": "a pole of the model",
+    "domain": "a bound that the model names",
+    "input_limits": "the input limits",
+    "arithmetic": "the arithmetic of the proof, below what was met",
 }
 
 
@@ -72,12 +84,8 @@ UNPROVED = {
 }
 
 
-#: What limits a region where nothing in its surroundings does.
-_METHODS: dict[Method, str] = {
-    "grid": "the resolution of the grid",
-    "ellipsoid": "the bounds of the curvature of V",
-    "chart": "what is proved of motions along the Casimirs",
-}
+#: Coordinates of a place that are told at most.
+_TOLD = 6
 
 
 def equilibrium(radius: float, mu: float, bound: float) -> str:
@@ -119,32 +127,27 @@ def only_stable(witness: str) -> str:
     return f"z̄ is stable; by the verdict in design.json no design can make it attract: {witness}"
 
 
-def region(level: float, share: float, limit: str, follows: Follows) -> str:
-    """Of the component of {V ≤ c}, and what follows for solutions from it."""
+def region(height: float, obstacle: Obstacle, follows: Follows) -> str:
+    """Of the component of {V ≤ V(z̄) + h}, and what follows for solutions from it."""
     return (
-        f"the component Ω of {{V ≤ {_down(level, 6)}}} around z̄ lies in the domain (at least "
-        f"{_down(100 * share, 2)} % of it, momenta at rest; limited by {limit}){_FOLLOWS[follows]}"
+        f"the component Ω of {{V − V(z̄) ≤ {_down(height, 6)}}} around z̄ is compact, and z̄ the only "
+        f"critical point of V in it; limited by {limited_by(obstacle)}{_FOLLOWS[follows]}"
     )
 
 
-def limited_by(
-    limit: LimitedBy, states: Sequence[str], region: RegionClaim | None, units: Units
-) -> str:
-    """What limits a region, or leaves none."""
-    if limit.kind == "momentum":
-        return f"the domain, in {states[limit.at[0]]}"
-    if region is None or limit.kind == "undefined":
-        return "the loop, which may have a pole in it"
-    if limit.kind not in _AT_A_CELL:
-        return _METHODS[region.method]
-    place = zip(region.active, units.place(region.active, region.place(limit)), strict=True)
-    near = ", ".join(f"{states[i]} = {v:.3g}" for i, v in place)
-    return f"{_AT_A_CELL[limit.kind]}, near {near}"
+def limited_by(obstacle: Obstacle) -> str:
+    """What a region stays just below."""
+    told = {name: value for name, value in obstacle.at.items() if value}
+    parts = [f"{name} = {value:.4g}" for name, value in list(told.items())[:_TOLD]]
+    place = f" at {', '.join(parts)}{', …' if len(told) > _TOLD else ''}" if parts else ""
+    return (
+        f"{_OBSTACLES[obstacle.kind]}{place}, {obstacle.level_above_minimum:.4g} above the minimum"
+    )
 
 
-def input_limits(limits: Sequence[Sequence[float]], level_u: float, level: float) -> str:
-    """Of the level below which u stays within the model's limits."""
-    where = "all of Ω" if level_u == level else f"{{V ≤ {_down(level_u, 6)}}} in Ω"
+def input_limits(limits: Sequence[Sequence[float]], height: float, whole: bool) -> str:
+    """Of the height above V(z̄) up to which u stays within its limits, on the whole Ω or not."""
+    where = "all of Ω" if whole else f"{{V − V(z̄) ≤ {_down(height, 6)}}} in Ω"
     return (
         f"u stays within {ranges(limits)} on {where}, which is invariant: saturation never acts "
         "there"

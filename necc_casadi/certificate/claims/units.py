@@ -30,10 +30,3 @@ class Units:
     def place(self, states: Iterable[int], at: Iterable[float]) -> list[float]:
         """A point in some of the states, in the units of the model."""
         return [self.state[i] * v for i, v in zip(states, at, strict=True)]
-
-    def size(self, name: str, states: tuple[str, ...], active: Iterable[int]) -> float:
-        """The unit of a size of a region in these active states: its volume, a reach or a share."""
-        if name == "volume":
-            return math.prod(self.state[i] for i in active)
-        prefix, _, state = name.partition("reach_")
-        return self.state[states.index(state)] if not prefix and state in states else 1.0

@@ -6,26 +6,35 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 
+import numpy as np
+
 from necc_casadi.certificate.claims import statements
 from necc_casadi.certificate.claims.certificate import Certificate
 from necc_casadi.certificate.claims.claim import Claim
-from necc_casadi.certificate.claims.regions import Follows, Stability
+from necc_casadi.certificate.claims.regions import Follows, Obstacle, Stability
 from necc_casadi.certificate.claims.units import Units
-from necc_casadi.certificate.prover.arithmetic.intervals import self_test
+from necc_casadi.certificate.prover.arithmetic.intervals import Interval, self_test
 from necc_casadi.certificate.prover.arithmetic.potential import Potential
 from necc_casadi.certificate.prover.attraction import prove_attraction, prove_only_stable
 from necc_casadi.certificate.prover.decrease import prove_decrease
 from necc_casadi.certificate.prover.equilibrium import Equilibrium, prove_equilibrium
 from necc_casadi.certificate.prover.global_stability import GlobalStability, prove_global_stability
-from necc_casadi.certificate.prover.input_limits import input_level
 from necc_casadi.certificate.prover.invariant_sets import largest_invariant_set_is_critical
-from necc_casadi.certificate.prover.region.region import RegionProof, prove_region, surroundings
+from necc_casadi.certificate.prover.region.region import (
+    RegionProof,
+    prove_region,
+    prove_region_within_limits,
+)
+from necc_casadi.certificate.prover.region.split import MOST_KEPT
 from necc_casadi.designs.design import Design
 
 __all__ = ["certify"]
 
 
 Report = Callable[[str, float], None]
+
+#: Coordinates of an obstacle that are smaller, in natural units, are 0.
+_NOTHING = 1e-9
 
 
 def certify(design: Design, *, region: bool = True, report: Report | None = None) -> Certificate:
@@ -59,8 +68,8 @@ def certify(design: Design, *, region: bool = True, report: Report | None = None
     >>> certificate = certify(made)
     >>> certificate.certified, certificate.stability
     (True, 'asymptotic')
-    >>> certificate.bound_rigorous < 1e-9, certificate.domain_share > 0.2
-    (True, True)
+    >>> certificate.obstacle.kind, certificate.obstacle_share > 0.98
+    ('critical_point', True)
     """
     told = report or (lambda stage, share: None)
     if not self_test():
@@ -100,35 +109,48 @@ def _local(
 def _extended(
     certificate: Certificate, design: Design, potential: Potential, equilibrium: Equilibrium
 ) -> Certificate:
-    """The certificate with the region, the input limits and the whole space."""
-    stability, energy = certificate.stability, design.units.energy
+    """The certificate with the whole space, the region and the input limits."""
+    stability = certificate.stability
     if stability is None:
         missing = Claim("region", False, "no region without a proof of stability")
         return replace(certificate, claims=(*certificate.claims, missing))
-    proof = prove_region(potential, equilibrium)
-    everywhere = _global_claim(design.natural, stability)
-    # the whole space is a region: where it is proved, a level set in the domain may be missing
-    needed = proof.region is not None or not everywhere.holds
-    claims = [_region_claim(design, proof, stability)] if needed else []
-    level_u = None
+    reduced = Potential(potential.design, design.momenta)
+    z_bar = equilibrium.box[list(reduced.active)]
+    everywhere = prove_global_stability(reduced, z_bar, stability == "asymptotic")
+    proof = _region(reduced, z_bar, everywhere.claim is not None)
+    claims = []
+    if proof is not None or everywhere.claim is None:
+        claims.append(_region_claim(design, proof, stability))
     if design.loop.plant.u_limits is not None:
-        level_u = _input_level(potential.design, proof, equilibrium)
-        claims.append(_limits_claim(design, proof, level_u))
+        claims.append(_limits_claim(design, proof))
+    claims.append(_global_claim(everywhere))
+    follows = None if everywhere.claim is None else everywhere.claim.follows
     found = replace(
         certificate,
-        claims=(*certificate.claims, *claims, everywhere),
-        is_global=everywhere.holds,
+        claims=(*certificate.claims, *claims),
+        is_global=follows == "converges",
     )
-    if proof.region is None:
+    if proof is None:
         return found
+    energy, limited = design.units.energy, design.loop.plant.u_limits is not None
+    level_u = proof.level_u if limited else None
     return replace(
         found,
-        level=energy * proof.region.level,
+        level=energy * proof.component.level,
+        level_above_minimum=energy * proof.height(proof.component.level),
         level_u=None if level_u is None else energy * level_u,
-        limited_by=proof.limited_by(design.loop.states, units_of(design)),
-        domain_share=proof.shares["domain_share"],
-        region=proof.region,
+        obstacle=_obstacle(design, proof),
+        reach=_reach(design, proof),
+        region=proof.component.region,
     )
+
+
+def _region(reduced: Potential, z_bar: Interval, whole: bool) -> RegionProof | None:
+    """Where the whole space is proved, a region still says where bounds and inputs are kept."""
+    plant = reduced.design.loop.plant
+    if not whole or plant.domain:
+        return prove_region(reduced, z_bar)
+    return None if plant.u_limits is None else prove_region_within_limits(reduced, z_bar)
 
 
 def units_of(design: Design) -> Units:
@@ -137,57 +159,62 @@ def units_of(design: Design) -> Units:
     return Units(tuple(map(float, units.state)), float(units.energy), float(units.time))
 
 
-def _global_claim(design: Design, stability: Stability) -> Claim:
-    found = GlobalStability("z̄ is not proved to attract")
-    if stability == "asymptotic":
-        found = prove_global_stability(design, design.momenta)
-    if found.missing is not None:
+def _obstacle(design: Design, proof: RegionProof) -> Obstacle:
+    found, states = proof.component.obstacle, design.loop.states
+    still = np.where(np.abs(found.z) < _NOTHING, 0.0, found.z)
+    place = units_of(design).place(range(len(still)), map(float, still))
+    height = design.units.energy * (found.level - proof.bottom)
+    return Obstacle(found.kind, dict(zip(states[: len(place)], place, strict=True)), height)
+
+
+def _reach(design: Design, proof: RegionProof) -> dict[str, tuple[float, float]]:
+    lo, hi = (
+        units_of(design).place(range(design.loop.n), map(float, ends))
+        for ends in (proof.reach.lo, proof.reach.hi)
+    )
+    return dict(zip(design.loop.states, zip(lo, hi, strict=True), strict=True))
+
+
+def _global_claim(found: GlobalStability) -> Claim:
+    if found.claim is None:
         return Claim("global", False, f"{statements.UNPROVED['global']}{found.missing}")
-    data = {"resting": list(found.resting), "bends": list(found.bends)}
-    return Claim("global", True, statements.GLOBAL, data)
+    return Claim("global", True, statements.GLOBAL[found.claim.follows], found.claim.data)
 
 
-def _region_claim(design: Design, proof: RegionProof, stability: Stability) -> Claim:
-    states, units = design.loop.states, units_of(design)
-    limit = proof.limited_by(states, units)
-    if proof.region is None or proof.limit is None:
-        return Claim("region", False, f"{statements.UNPROVED['region']} is proved: {limit}")
+def _region_claim(design: Design, proof: RegionProof | None, stability: Stability) -> Claim:
+    if proof is None:
+        return Claim("region", False, _no_region(design))
     follows = _follows(design.natural, proof, stability)
-    level = units.energy * proof.region.level
-    text = statements.region(level, proof.shares["domain_share"], limit, follows)
-    sizes = {k: v * units.size(k, states, proof.region.active) for k, v in proof.shares.items()}
-    data = {**sizes, "limit": proof.limit.data, "follows": follows}
-    return Claim("region", True, text, data)
+    height = design.units.energy * proof.height(proof.component.level)
+    text = statements.region(height, _obstacle(design, proof), follows)
+    return Claim("region", True, text, {"follows": follows})
+
+
+def _no_region(design: Design) -> str:
+    left = design.loop.n - len(design.momenta)
+    reason = "no neighbourhood of z̄ is proved free of other critical points"
+    if left > MOST_KEPT:
+        reason += f", with at most {MOST_KEPT} states that are not minimised out"
+    return f"{statements.UNPROVED['region']} is proved: {reason}"
 
 
 def _follows(design: Design, proof: RegionProof, stability: Stability) -> Follows:
     """What follows for solutions from the region (LaSalle's invariance principle)."""
-    around = surroundings(design, proof)
-    if stability != "asymptotic" or proof.region is None or around is None:
+    if stability != "asymptotic":
         return "stable"
-    resting = [i for i in range(design.loop.n) if i not in proof.region.active]
-    every = largest_invariant_set_is_critical(design, resting, around)
+    every = largest_invariant_set_is_critical(design, design.momenta, proof.reach)
     return "converges" if every else "invariant"
 
 
-def _input_level(design: Design, proof: RegionProof, equilibrium: Equilibrium) -> float | None:
-    boxes = proof.boxes()
-    if proof.region is None or boxes is None:
-        return None
-    active = proof.region.active
-    reduced = Potential(design, tuple(i for i in range(design.loop.n) if i not in active))
-    bottom = reduced.jet(equilibrium.box[list(active)][None, :]).value.hi[0]
-    return input_level(reduced, boxes, proof.region.level, float(bottom))
-
-
-def _limits_claim(design: Design, proof: RegionProof, level_u: float | None) -> Claim:
-    limits = design.loop.plant.u_limits or ()
-    if proof.region is None or level_u is None:
+def _limits_claim(design: Design, proof: RegionProof | None) -> Claim:
+    limits, energy = design.loop.plant.u_limits or (), design.units.energy
+    if proof is None or proof.level_u is None:
         text = f"{statements.UNPROVED['input_limits']}{statements.ranges(limits)}"
         return Claim("input_limits", False, text)
-    energy = design.units.energy
-    text = statements.input_limits(limits, energy * level_u, energy * proof.region.level)
-    return Claim("input_limits", True, text)
+    height = energy * proof.height(proof.level_u)
+    whole = proof.level_u == proof.component.level
+    text = statements.input_limits(limits, height, whole)
+    return Claim("input_limits", True, text, {"level_above_minimum": height})
 
 
 def _equilibrium_claim(found: Equilibrium) -> Claim:

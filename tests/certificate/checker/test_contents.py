@@ -3,69 +3,33 @@
 import dataclasses
 
 import pytest
-from helpers.certificates import verdicts
-from helpers.constructed import make_design, mechanical, quadratic_pendulum
+from helpers.certificates import verdicts, written
+from helpers.oscillators import chain, limited, oscillator, sides, soft_pendulum
 
 from necc_casadi.certificate.claims.certificate import Certificate
 from necc_casadi.certificate.claims.claim import Claim
-from necc_casadi.certificate.claims.regions import (
-    ChartRegion,
-    EllipsoidRegion,
-    GridRegion,
-    LimitedBy,
-)
-from necc_casadi.certificate.prover.certify import certify
-from necc_casadi.lyapunov.networks import Network
-from necc_casadi.lyapunov.parameterization import Form
+from necc_casadi.certificate.claims.regions import CellBox, GlobalClaim, Obstacle, Region
 
-QUADRATIC = Form(Network(1, (), quadratic=True), Network(1, (), quadratic=True))
+REGION = (Certificate, Claim, Obstacle, Region, CellBox)
+CASES = {
+    "pass": (lambda: limited(soft_pendulum(), (-9.0, 9.0)), REGION),
+    "bound": (lambda: chain(sides(q1=1.0)), (Certificate, Claim, Obstacle, Region, GlobalClaim)),
+    "inputs": (lambda: limited(oscillator(), (-1.0, 1.0)), (*REGION, GlobalClaim)),
+}
 
 
-def chain():
-    """Three coupled masses, whose region is an ellipsoid."""
-    plant = mechanical(
-        lambda q1, q2, q3, p1, p2, p3: (
-            (p1**2 + p2**2 + p3**2 + q1**2 + (q2 - q1) ** 2 + (q3 - q2) ** 2) / 2
-        ),
-        3,
-        inputs=[0],
-    )
-    return make_design(plant, [0] * 6, QUADRATIC, [0, 0, 1.0, 0, 0, 0, 1.0, 0], [0.0])
-
-
-def free_joints():
-    """Two joints without potential, whose region is one in the coordinates (c, ξ)."""
-    plant = mechanical(lambda q1, q2, p1, p2: (p1**2 + p2**2) / 2, 2)
-    form = Form(Network(2, (), quadratic=True), Network(2, (), quadratic=True))
-    return make_design(plant, [0] * 4, form, 2 * [0, 0, 0, 1.0, 1.0, 0, 0], [0.0, 0.0])
-
-
-CASES = [
-    (quadratic_pendulum, GridRegion),
-    (chain, EllipsoidRegion),
-    pytest.param(free_joints, ChartRegion, marks=pytest.mark.slow),
-]
-
-
-@pytest.mark.parametrize(("make", "kind"), CASES)
-def test_the_checker_looks_at_every_entry(make, kind, tmp_path, monkeypatch):
-    design = make()
-    certificate = certify(design)
-    assert type(certificate.region) is kind
-    design.save(tmp_path / "design.json")
-    (tmp_path / "certificate.json").write_text(certificate.to_json(), encoding="utf-8")
+@pytest.mark.parametrize("case", CASES)
+def test_the_checker_looks_at_every_entry(case, tmp_path, monkeypatch):
+    make, kinds = CASES[case]
+    folder = written(make(), tmp_path)
     looked_at = set()
-    for recorded in (Certificate, Claim, LimitedBy, kind):
+    for recorded in kinds:
 
         def spy(self, name, recorded=recorded):
             looked_at.add((recorded, name))
             return object.__getattribute__(self, name)
 
         monkeypatch.setattr(recorded, "__getattribute__", spy, raising=False)
-    assert all(verdicts(tmp_path).values())
-    entries = {
-        (recorded, field.name)
-        for recorded in (Certificate, Claim, LimitedBy, kind)
-        for field in dataclasses.fields(recorded)
-    }
+    assert all(verdicts(folder).values())
+    entries = {(kind, field.name) for kind in kinds for field in dataclasses.fields(kind)}
     assert entries <= looked_at, entries - looked_at

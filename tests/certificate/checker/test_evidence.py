@@ -5,9 +5,12 @@ import json
 import pytest
 from helpers.certificates import claim, reword
 from helpers.constructed import quadratic_pendulum
+from helpers.oscillators import soft_pendulum
 
 from necc_casadi.certificate.checker.check import check
 from necc_casadi.certificate.checker.evidence import Checked
+from necc_casadi.certificate.claims.fields import read_as
+from necc_casadi.certificate.claims.regions import Region, packed
 from necc_casadi.certificate.prover.certify import certify
 
 
@@ -28,8 +31,9 @@ def test_the_first_obligation_that_fails_is_named_and_none_after_it_is_tried():
 
 @pytest.fixture(scope="module")
 def made():
-    design = quadratic_pendulum()
-    return design, certify(design).to_json()
+    """A region below a pass, and another design of the whole space."""
+    designs = {"region": soft_pendulum(), "global": quadratic_pendulum()}
+    return {name: (design, certify(design).to_json()) for name, design in designs.items()}
 
 
 def scaled(path, factor):
@@ -51,28 +55,47 @@ def low(data):
     data["level"] = data["region"]["level"] = -100.0
 
 
+def lower(data):
+    data["level"] = data["region"]["level"] = data["region"]["level"] - 1e-3
+
+
 def without_momentum(data):
     data["region"]["active"] = [0, 1]
+    data["region"]["kept"] = [0]
 
 
-def other_block(data):
-    data["region"]["convex_block"] = [[1, 1], [2, 2]]
+def stiffer(data):
+    data["region"]["floor"] = [[1.1 * v for v in row] for row in data["region"]["floor"]]
 
 
-def moved_grid(data):
-    data["region"]["first"][0] += 50
+def other_core(data):
+    data["region"]["core"] = [[hi, hi + 0.1] for _, hi in data["region"]["core"]]
 
 
-def odd_step(data):
-    data["region"]["step"] = [1.01 * h for h in data["region"]["step"]]
+def wide_core(data):
+    box = data["region"]["box"]
+    data["region"]["core"] = [[box["lo"][0], box["lo"][0] + box["side"][0]]]
 
 
-def larger_slice(data):
-    claim(data, "region")["data"]["slice_share"] *= 1.5
+def fewer_cells(data):
+    leaves = read_as(Region, data["region"]).leaves
+    data["region"]["cells"] = packed(leaves[: len(leaves) // 2 + 4])
 
 
-def other_limit(data):
-    claim(data, "region")["data"]["limit"] = {"kind": "border", "at": [0, 0]}
+def short_reach(data):
+    data["reach"]["p"] = [0.9 * v for v in data["reach"]["p"]]
+
+
+def nowhere(data):
+    data["obstacle"]["at"] = {}
+
+
+def moved_obstacle(data):
+    data["obstacle"]["at"]["xi1"] += 0.1
+
+
+def other_obstacle(data):
+    data["obstacle"]["kind"] = "domain"
 
 
 def negative_rate(data):
@@ -88,7 +111,13 @@ def steeper(data):
 
 
 def momentum_forgotten(data):
-    claim(data, "global")["data"]["resting"] = [0, 1]
+    entry = claim(data, "global")["data"]
+    entry["active"], entry["floor"] = [0, 1], entry["floor"][:1]
+
+
+def steeper_floor(data):
+    entry = claim(data, "global")["data"]
+    entry["floor"] = [[1.5 * v for v in row] for row in entry["floor"]]
 
 
 REFUSALS = [
@@ -104,16 +133,21 @@ REFUSALS = [
     (steeper, "attraction", "z̄ is an equilibrium of a loop along which V decreases"),
     (quicker, "region", "no region is proved, for want of the stability of z̄"),
     (scaled("region.level", 1.1), "region", "the level is that of the region"),
-    (low, "region", "V(z̄) < c"),
-    (raised, "region", "p stays in the domain"),
+    (low, "region", "the level is as high above V(z̄)"),
+    (lower, "region", "the level is as high above V(z̄)"),
+    (raised, "region", "w > c around the marked cells"),
     (without_momentum, "region", "the resting states are momenta"),
-    (odd_step, "region", "the cells are exact"),
-    (moved_grid, "region", "the cells lie in the domain"),
-    (other_block, "region", "∇²V ≻ 0 on the cells around z̄"),
-    (larger_slice, "region", "the sizes claimed"),
-    (other_limit, "region", "it ends where it is said to"),
-    (quicker, "global", "z̄ attracts"),
+    (stiffer, "region", "V_ee ⪰ F for every e"),
+    (other_core, "region", "z̄ is over the core, in marked cells"),
+    (wide_core, "region", "∇²w ≻ 0 on the core"),
+    (fewer_cells, "region", "w > c around the marked cells"),
+    (short_reach, "region", "every state is within its reach"),
+    (nowhere, "region", "the obstacle has a place"),
+    (moved_obstacle, "region", "the obstacle is at that height"),
+    (other_obstacle, "region", "the obstacle is what it is said to be"),
+    (quicker, "global", "z̄ is stable"),
     (momentum_forgotten, "global", "the resting states are momenta"),
+    (steeper_floor, "global", "V is radially unbounded with one critical point"),
 ]
 
 
@@ -121,7 +155,7 @@ REFUSALS = [
     ("change", "name", "words"), REFUSALS, ids=lambda v: getattr(v, "__name__", v)
 )
 def test_a_refused_claim_says_what_was_not_proved(made, tmp_path, change, name, words):
-    design, text = made
+    design, text = made["global" if name == "global" else "region"]
     data = json.loads(text)
     change(data)
     reword(data)
@@ -134,7 +168,7 @@ def test_a_refused_claim_says_what_was_not_proved(made, tmp_path, change, name, 
 
 def test_a_loop_that_is_none_is_refused_by_what_it_lacks(made, tmp_path):
     """The certificate of a design whose matrices, Casimir or damping are other ones."""
-    design, text = made
+    design, text = made["region"]
     (tmp_path / "certificate.json").write_text(text, encoding="utf-8")
     stored = json.loads(design.text)
     for entry, value, name, words in [

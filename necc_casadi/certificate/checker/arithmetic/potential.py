@@ -83,10 +83,6 @@ class Energy:
         centred = sum((g * s for g, s in zip(grad, steps, strict=True)), self._first(middle)[0])
         return meet(naive, centred)
 
-    def at_most(self, box: Box, level: float) -> bool:
-        """Whether V ≤ level over a box; far below the level no sharp bound is needed."""
-        return bool(self._first(box)[0] <= level) or bool(self.value(box) <= level)
-
     def value_and_gradient(self, box: Box) -> tuple[arb, list[arb]]:
         """V and ∇V over a box, without mean-value forms: for points."""
         return self._first(box)
@@ -119,20 +115,6 @@ class Energy:
 
     def _combined(self, parts: Sequence[tuple[arb, list[arb]]]) -> list[arb]:
         return [sum((w * v[i] for w, v in parts), arb(0)) for i in range(self.d)]
-
-    def slope_along(self, box: Box, direction: Sequence[float]) -> arb:
-        """∇V · direction over a box; what the Casimirs add cancels before it is enclosed."""
-        t = direction
-        e, de, C, _ = self._energy_and_casimir(box)
-        _, inner, outer, _ = self._casimir(box)
-        energy = sum((g * v for g, v in zip(de, t, strict=True)), arb(0))
-        casimir = arb(0)
-        for slope, (_, grad, _) in zip(outer, inner, strict=True):
-            casimir += slope * sum((g * v for g, v in zip(grad, t, strict=True)), arb(0))
-        if self.phi is None:
-            return arb(energy + casimir)
-        slopes = self.phi((ends(e), ends(C)))[1]
-        return arb(slopes[0] * energy + slopes[1] * casimir)
 
     def _first(self, box: Box) -> tuple[arb, list[arb]]:
         e, de, C, dC = self._energy_and_casimir(box)
@@ -205,7 +187,9 @@ class Energy:
         return arb_mat(total) if self.phi is None else self._through_phi(box, total, part)
 
     def hull(self, box: Box) -> list[list[arb]]:
-        """∇²V over a small box, entry by entry; for Φ = H + Hc + C with C = K(c)."""
+        """∇²V over a small box, entry by entry."""
+        if self.phi is not None or self.betas:
+            return hessian_hull(self, box).tolist()
         first = self.d - self.model.nc
         total = [[h(box) for h in row] for row in self._tables[0][2]]
         self._add(total, self.hc.curvature(box[first:]), first)

@@ -66,6 +66,7 @@ class Reduced:
         self.widths = [self._width(k) for k in range(len(self.e))]
         y = np.array(start, float)
         zero = np.zeros((len(self.e), len(self.s)))
+        self._known: dict[Box, Cover | None] = {}
         self._last: tuple[Numbers, Numbers, Numbers] = (y[self.s], y[self.e], zero)
 
     def over(self, energy: Energy) -> Reduced:
@@ -101,6 +102,11 @@ class Reduced:
 
     def cover(self, cell: Box) -> Cover | None:
         """W, ∇w and ∇²w on a cell of s; None where the sheet cannot be held."""
+        if cell not in self._known:
+            self._known[cell] = self._found(cell)
+        return self._known[cell]
+
+    def _found(self, cell: Box) -> Cover | None:
         middle = [lo / 2 + hi / 2 for lo, hi in cell]
         steps = [ball(lo, hi) - arb(m) for (lo, hi), m in zip(cell, middle, strict=True)]
         half = max((float(s.abs_upper()) for s in steps), default=0.0)

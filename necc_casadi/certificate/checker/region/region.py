@@ -1,4 +1,4 @@
-"""The region around z̄ in the domain, proved again, and what follows for solutions from it.
+"""The region around z̄, proved again, and what follows for solutions from it.
 
 With V̇ ≤ 0, a compact component of {V ≤ c} is invariant; LaSalle's principle takes its solutions to
 the largest invariant set where V̇ = 0, which is z̄ where that set holds critical points only.
@@ -6,145 +6,170 @@ the largest invariant set where V̇ = 0, which is z̄ where that set holds criti
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import cache, partial
-from typing import Any
+from functools import cached_property, partial
 
+import sympy as sp
 from flint import arb
 
-from necc_casadi.certificate.checker.arithmetic.balls import Box, ends
-from necc_casadi.certificate.checker.arithmetic.potential import Energy
+from necc_casadi.certificate.checker.arithmetic.balls import Box
 from necc_casadi.certificate.checker.evidence import Checked, Evidence, Obligation
 from necc_casadi.certificate.checker.invariant_sets import (
     largest_invariant_set_is_critical,
     loop_is_defined,
 )
-from necc_casadi.certificate.checker.model import StoredDesign
-from necc_casadi.certificate.checker.momenta import are_momenta, momentum_inside
-from necc_casadi.certificate.checker.region.chart import ChartProof
-from necc_casadi.certificate.checker.region.ellipsoid import EllipsoidProof
-from necc_casadi.certificate.checker.region.grid import GridProof
-from necc_casadi.certificate.checker.region.proof import RegionProof
+from necc_casadi.certificate.checker.momenta import are_momenta
+from necc_casadi.certificate.checker.region.bounds import BoundProof, stays_positive
+from necc_casadi.certificate.checker.region.cells import CellsProof
+from necc_casadi.certificate.checker.region.floor import FloorProof
+from necc_casadi.certificate.checker.region.obstacle import ObstacleProof
+from necc_casadi.certificate.checker.region.reduced import Reduced
+from necc_casadi.certificate.checker.region.shape import check_region_shape
 from necc_casadi.certificate.claims import statements
-from necc_casadi.certificate.claims.fields import read_as
-from necc_casadi.certificate.claims.regions import Follows, LimitedBy, Method, RegionClaim
+from necc_casadi.certificate.claims.regions import Follows, Region, Side
 
-__all__ = ["check_region", "region_proof"]
-
-
-#: A momentum limits c where it could leave the domain this much higher above V(z̄): the maker may
-#: claim as little as a fifth of its least stiffness.
-_HIGHER = 6.0
+__all__ = ["RegionProof", "check_region"]
 
 
-_PROOFS: dict[Method, Callable[[Evidence, Energy, Any, Box], RegionProof]] = {
-    "grid": GridProof,
-    "ellipsoid": EllipsoidProof,
-    "chart": ChartProof,
-}
+class RegionProof:
+    """The component of {V ≤ c} over the marked cells, in natural units.
 
+    Raises
+    ------
+    ValueError
+        When the region is not of its form.
+    """
 
-#: Entries of the claim that are no sizes.
-_NO_SIZES = {"limit", "follows"}
+    def __init__(self, evidence: Evidence, region: Region) -> None:
+        check_region_shape(region, len(evidence.model.z))
+        self.evidence, self.region, self.model = evidence, region, evidence.model
+        self.energy, self.z_bar = evidence.reduced(region.active), evidence.z_bar(region.active)
+        self.bottom: arb = self.energy.value(self.z_bar)
+        self.resting = [i for i in range(len(self.model.z)) if i not in region.active]
 
+    @cached_property
+    def cells(self) -> CellsProof:
+        """The marked cells, w found from z̄ on."""
+        start = [self.evidence.minimum[i] for i in self.region.active]
+        reduced = Reduced(self.energy, self.region.kept, self.region.floor, start)
+        return CellsProof(reduced, self.region)
 
-def region_proof(evidence: Evidence) -> RegionProof | None:
-    """The proof of the region that is claimed; None where none is."""
-    region = evidence.certificate.region
-    if region is None:
-        return None
-    energy, z_bar = evidence.reduced(region.active), evidence.z_bar(region.active)
-    return _PROOFS[region.method](evidence, energy, region, z_bar)
+    @cached_property
+    def _inertia(self) -> sp.Matrix:
+        momenta = [self.model.z[i] for i in self.resting]
+        return sp.hessian(self.model.H, momenta) if momenta else sp.zeros(0)
+
+    @cached_property
+    def _bounds(self) -> BoundProof:
+        return BoundProof(self.cells, self._inertia, self.resting)
+
+    @cached_property
+    def reach(self) -> tuple[Side, ...]:
+        """The claimed sides of all states.
+
+        Raises
+        ------
+        ValueError
+            When there are none, or not one for every state.
+        """
+        claimed, units = self.evidence.certificate.reach, self.model.units
+        if claimed is None or list(claimed) != self.model.states:
+            raise ValueError("the region's reach is not told of every state in order")
+        pairs = zip(claimed.values(), units.state, strict=True)
+        return tuple((lo / unit, hi / unit) for (lo, hi), unit in pairs)
+
+    def boxes(self, level: float) -> list[Box]:
+        """Small boxes of the active states that hold {V ≤ c} over the marked cells."""
+        return [box for _, box in self.cells.fibres(level)]
+
+    def obligations(self) -> list[Obligation]:
+        """What has to be proved of the component itself."""
+        region, kept = self.region, self.region.kept
+        floor = FloorProof(self.energy, kept, region.floor, region.bends)
+        s_bar = tuple(self.z_bar[i] for i in kept)
+        return [
+            ("the resting states are momenta", lambda: are_momenta(self.model, self.resting)),
+            ("V(z̄) < c", lambda: bool(self.bottom < region.level)),
+            ("V_ee ⪰ F for every e", lambda: floor.holds(region.box.whole)),
+            ("the cells are apart", lambda: self.cells.are_apart()),
+            ("z̄ is over the core, in marked cells", lambda: self.cells.hold_minimum(s_bar)),
+            ("∇²w ≻ 0 on the core", lambda: self.cells.core_is_convex()),
+            ("∇w ≠ 0 on the other cells", lambda: self.cells.cells_are_settled()),
+            ("w > c around the marked cells", lambda: self.cells.faces_are_above()),
+            ("∂²H/∂p² ≻ 0 over the cells", self._has_inertia),
+            *self._bounds_are_kept(),
+            (
+                "every state is within its reach",
+                lambda: self._bounds.reach(dict(enumerate(self.reach))),
+            ),
+            ("the loop has no pole there", lambda: loop_is_defined(self.model, self.reach)),
+        ]
+
+    def _has_inertia(self) -> bool:
+        boxes = self.boxes(self.region.level)
+        return not self.resting or stays_positive(self._inertia, self.energy.variables, boxes)
+
+    def _bounds_are_kept(self) -> list[Obligation]:
+        """One for every bound that the model names."""
+        result: list[Obligation] = []
+        for i, name in enumerate(self.model.states):
+            if name in self.model.domain:
+                result.append((f"{name} keeps its bounds", partial(self._is_kept, i)))
+        return result
+
+    def _is_kept(self, i: int) -> bool:
+        active, (lo, hi) = self.region.active, self.model.named_bounds[i]
+        if i in self.resting:
+            reach = min(-lo, hi)
+            return reach > 0 and self._bounds.momentum_stays(i, arb(reach))
+        position = active.index(i)
+        at = self.z_bar[position]
+        if not (lo < at[0] and at[1] < hi):
+            return False
+        if position in self.region.kept:
+            a, b = self.region.box.whole[self.region.kept.index(position)]
+            return lo <= a and b <= hi
+        return all(self._bounds.state_stays(position, end) for end in (lo, hi))
+
+    def follows(self, follows: Follows) -> Obligation:
+        """What follows for solutions from the region: of two truths the weaker may be claimed."""
+        attracts = self.evidence.certificate.stability == "asymptotic"
+
+        def every() -> bool:
+            return largest_invariant_set_is_critical(self.model, self.resting, self.reach)
+
+        obligations: dict[Follows, Obligation] = {
+            "converges": ("every solution from Ω converges to z̄", lambda: attracts and every()),
+            "invariant": ("z̄ is locally asymptotically stable", lambda: attracts),
+            "stable": ("no more than stability is proved of z̄", lambda: not attracts),
+        }
+        return obligations[follows]
 
 
 def check_region(evidence: Evidence, proof: RegionProof | None, sound: bool) -> Checked:
-    """The component of {V ≤ c} around z̄ lies in the domain, and only z̄ is critical in it."""
-    share, said = evidence.certificate.domain_share, evidence.certificate.limited_by
-    claimed = proof is not None and share is not None and evidence.claimed("region")
-    if proof is None or share is None or not (claimed and sound):
+    """The component of {V ≤ c} around z̄ is compact, and only z̄ is critical in it."""
+    certificate = evidence.certificate
+    height, obstacle = certificate.level_above_minimum, certificate.obstacle
+    claimed = evidence.claimed("region") and height is not None and obstacle is not None
+    if proof is None or height is None or obstacle is None or not (claimed and sound):
         missing = "the stability of z̄" if claimed else "that one is claimed"
         return Checked("region", False, f"no region is proved, for want of {missing}")
-    region, data, states = proof.region, evidence.claims["region"].data, evidence.model.states
-    units, level = evidence.model.units, evidence.certificate.level
-    limit, follows = read_as(LimitedBy, data["limit"]), data["follows"]
-    sizes = {
-        key: float(data[key]) / units.size(key, tuple(states), region.active)
-        for key in data
-        if key not in _NO_SIZES
-    }
-    bottom = proof.energy.value(evidence.z_bar(region.active))
-    surroundings = cache(partial(_surroundings, evidence.model, proof))
-    top = region.level * units.energy
-    text = f"a component of {{V ≤ {top:.6g}}} around z̄ in the domain, as it is described"
-    checked = Checked.by(
+    follows: Follows = evidence.claims["region"].data["follows"]
+    region, energy = proof.region, evidence.model.units.energy
+    told = ObstacleProof(evidence, region, obstacle, proof.reach)
+    return Checked.by(
         "region",
-        text,
+        statements.region(height, obstacle, follows),
         [
-            ("the level is that of the region", lambda: top == level),
-            ("V(z̄) < c", lambda: bool(bottom < region.level)),
-            *_momenta_stay(evidence.model, region, bottom),
-            *proof.obligations(sizes, share),
-            ("the loop has no pole there", lambda: loop_is_defined(evidence.model, surroundings())),
-            ("it ends where it is said to", lambda: _stops(evidence.model, proof, limit, bottom)),
-            _solutions(evidence, region, follows, surroundings),
+            (
+                "the level is that of the region",
+                lambda: region.level * energy == certificate.level,
+            ),
+            (
+                "the level is as high above V(z̄)",
+                lambda: height > 0 and bool(proof.bottom + height / energy <= region.level),
+            ),
+            *proof.obligations(),
+            *told.obligations(proof.bottom),
+            proof.follows(follows),
         ],
     )
-    if not checked.holds:
-        return checked
-    reason = statements.limited_by(limit, states, region, units)
-    statement = statements.region(top, share, reason, follows)
-    limited = (f"it is limited by {reason}", lambda: said == reason)
-    return Checked.by("region", statement, [limited])
-
-
-def _momenta_stay(model: StoredDesign, region: RegionClaim, bottom: arb) -> list[Obligation]:
-    """½ δ sᵀA(y)s ≤ c − V(z̄) keeps the momenta in the domain."""
-    active, level = region.active, region.level
-    resting = [i for i in range(len(model.z)) if i not in active]
-    inside = partial(
-        momentum_inside, model, resting=resting, active=active, level=level, bottom=bottom
-    )
-    return [
-        ("the resting states are momenta", lambda: are_momenta(model, resting)),
-        *((f"{model.states[i]} stays in the domain", partial(inside, i=i)) for i in resting),
-    ]
-
-
-def _solutions(
-    evidence: Evidence, region: RegionClaim, follows: Follows, surroundings: Callable[[], Box]
-) -> Obligation:
-    """What follows for solutions from the region: of two truths the weaker may be claimed."""
-    attracts = evidence.certificate.stability == "asymptotic"
-    resting = [i for i in range(len(evidence.model.z)) if i not in region.active]
-
-    def every() -> bool:
-        return largest_invariant_set_is_critical(evidence.model, resting, surroundings())
-
-    obligations: dict[Follows, Obligation] = {
-        "converges": ("every solution from Ω converges to z̄", lambda: attracts and every()),
-        "invariant": ("z̄ is locally asymptotically stable", lambda: attracts),
-        "stable": ("no more than stability is proved of z̄", lambda: not attracts),
-    }
-    return obligations[follows]
-
-
-def _stops(model: StoredDesign, proof: RegionProof, limit: LimitedBy, bottom: arb) -> bool:
-    """Whether the region ends where it is said to: at the border, a momentum, a critical point."""
-    if limit.kind == "method":
-        return not limit.at
-    if limit.kind != "momentum":
-        return proof.ends_at(limit)
-    active, base = proof.region.active, float(bottom.mid())
-    level = base + _HIGHER * (proof.region.level - base)
-    resting = [i for i in range(model.n) if i not in active]
-    return all(i in resting for i in limit.at) and not all(
-        momentum_inside(model, i, resting, active, level, bottom) for i in limit.at
-    )
-
-
-def _surroundings(model: StoredDesign, proof: RegionProof) -> Box:
-    """A box of all states that holds the region; resting states are in the domain."""
-    box = [(ends(lo)[0], ends(hi)[1]) for lo, hi in model.bounds]
-    for i, side in zip(proof.region.active, proof.hull(), strict=True):
-        box[i] = side
-    return tuple(box)

@@ -17,7 +17,7 @@ from necc_casadi.certificate.checker.arithmetic.balls import Box, ball, by_bisec
 from necc_casadi.certificate.checker.arithmetic.definite import positive
 from necc_casadi.certificate.checker.arithmetic.networks import Net
 from necc_casadi.certificate.checker.arithmetic.potential import Energy
-from necc_casadi.certificate.checker.region.partial import is_periodic
+from necc_casadi.certificate.checker.region.floor import evaluated, is_periodic
 from necc_casadi.certificate.checker.region.reduced import Cover, Reduced
 
 __all__ = ["critical_box", "is_unique", "repeats_positively"]
@@ -107,7 +107,7 @@ def repeats_positively(matrix: sp.Matrix) -> bool:
 
     def test(box: Box) -> bool:
         values = {v: ball(*side) for v, side in zip(symbols, box, strict=True)}
-        return positive(arb_mat([[evaluate(e, values) for e in r] for r in matrix.tolist()]), 0)
+        return positive(evaluated(matrix, values), 0)
 
     return by_bisection(tuple((-_HALF_PERIOD, _HALF_PERIOD) for _ in symbols), test, _ANGLES)
 

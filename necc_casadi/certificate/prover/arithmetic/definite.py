@@ -30,6 +30,8 @@ def positive_definite(A: Interval, mu: Vector | float = 0.0) -> Truth:
     difference sum to less than 1 in absolute value, S is regular and A − μI positive definite.
     """
     size = A.shape[-1]
+    if size == 0:
+        return np.ones(A.shape[:-2], dtype=bool)
     identity = np.eye(size)
     shifted = A - np.asarray(mu, float)[..., None, None] * identity
     values, vectors, usable = _spectrum(shifted.mid)

@@ -18,7 +18,7 @@ from necc_casadi.certificate.prover.arithmetic.intervals import Interval, concat
 from necc_casadi.certificate.prover.arithmetic.networks import network_jet
 from necc_casadi.lyapunov.networks import Network
 
-__all__ = ["hessian_floor", "scalar_hessian_floor"]
+__all__ = ["hessian_floor", "scalar_hessian_floor", "sharpest_floor"]
 
 
 #: Bounds of −inf σ″ and sup σ″ over the real line: tanh ±4/(3√3), squareplus in (0, 1/4].
@@ -27,6 +27,11 @@ _BENDS = {"tanh": (0.7699, 0.7699), "sin": (1.0, 1.0), "squareplus": (0.0, 0.25)
 
 #: Cells of the line at first, cells at most in one round of halving, and rounds.
 _CELLS, _WORST, _ROUNDS = 512, 256, 12
+
+
+#: Of κ: how far below inf f″ of a deep scalar network its bound may lie, and half of what is kept
+#: so that other arithmetic can confirm it.
+_SLACK = 0.03
 
 
 #: Beyond 2 to this power the line counts as not bounded.
@@ -64,6 +69,25 @@ def _bends(matrices: list[Vector], out: Vector, activation: str) -> Vector:
             worst = slope * max(down, up)
     bound: Vector = total.hi
     return bound
+
+
+def sharpest_floor(network: Network, weights: Vector) -> tuple[Interval, float | None]:
+    """The better of the floors, d × d, and the number below f″ on which it rests, if on one.
+
+    Where a network has one input and several layers, cells of the line bound it better than its
+    layers do.
+    """
+    floor = hessian_floor(network, weights)
+    deep_scalar = network.inputs == 1 and network.activation == "tanh" and len(network.hidden) > 1
+    if not (deep_scalar and network.quadratic):
+        return floor, None
+    kappa = network.quadratic_part(weights)[0]
+    slack = _SLACK * float(kappa[0])
+    bend = scalar_hessian_floor(network, weights, slack)
+    if bend is None:
+        return floor, None
+    sharp = point(np.diag(kappa)) + (bend - slack)
+    return (sharp, bend - slack) if sharp.lo[0, 0] > floor.lo[0, 0] else (floor, None)
 
 
 def scalar_hessian_floor(network: Network, weights: Vector, tolerance: float) -> float | None:

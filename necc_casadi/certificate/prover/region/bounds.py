@@ -1,8 +1,9 @@
-"""The user's own bounds of the states: obstacles of their own, found in floats, then proved.
+"""What must hold over the marked cells besides V: bounds, inertia, poles; and how far Ω reaches.
 
+The bounds of states that the model names are obstacles of their own, found in floats, then proved.
 A bound of a state that is minimised out binds where min {V(s, e): eᵢ = b} reaches the level, which
 is w of one state more; a bound of a momentum where w(s) + b²/(2(A⁻¹)ᵢᵢ) does, with A(s, e) its
-inertia: (A⁻¹)ᵢᵢ < t if and only if A − eᵢeᵢᵀ/t ≻ 0.
+inertia: (A⁻¹)ᵢᵢ < t if and only if A − eᵢeᵢᵀ/t ≻ 0. Where Φ₁ ≥ δ only, w(s) + ½δpᵀAp is below V.
 """
 
 from __future__ import annotations
@@ -11,16 +12,16 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 
-import casadi as ca
 import numpy as np
 import sympy as sp
 
-from necc_casadi.arrays import Vector
+from necc_casadi.arrays import Truth, Vector
 from necc_casadi.certificate.prover.arithmetic.boxes import matrix_enclosure
 from necc_casadi.certificate.prover.arithmetic.definite import positive_definite
-from necc_casadi.certificate.prover.arithmetic.intervals import Interval, point
+from necc_casadi.certificate.prover.arithmetic.intervals import Interval, concatenate, point
 from necc_casadi.certificate.prover.arithmetic.jets import constant
 from necc_casadi.certificate.prover.arithmetic.potential import Potential
+from necc_casadi.certificate.prover.invariant_sets import loop_is_defined
 from necc_casadi.certificate.prover.region.leaves import Leaves
 from necc_casadi.certificate.prover.region.obstacle import Obstacle, Search
 from necc_casadi.certificate.prover.region.reduced import Reduced
@@ -31,6 +32,10 @@ __all__ = ["Bounds", "bounds_of"]
 
 #: How often a cell may be halved before a bound counts as not kept on it.
 _HALVINGS = 7
+#: A place is behind a pass where it is reached this share of its height above its own V. Widths of
+#: a momentum's range that are tried, by what it is at the middles of the cells.
+_OVER = 1e-6
+_WIDER = (1.01, 1.05, 1.2, 1.5, 2.0, 4.0)
 
 
 def bounds_of(design: Design) -> Interval:
@@ -75,7 +80,33 @@ class Bounds:
         loop = self._design.loop
         return sp.hessian(loop.plant.H, [loop.z[i] for i in self.reduced.potential.resting])
 
+    @cached_property
+    def _delta(self) -> float:
+        """A lower bound of Φ₁."""
+        phi = self._design.form.phi
+        return 1.0 if phi is None else float(phi.delta)
+
+    @cached_property
+    def _poles(self) -> list[tuple[sp.Expr, list[int]]]:
+        """Entries of Jcl − Rcl and 𝒢 that vary, and the states that they contain."""
+        loop = self._design.loop
+        entries = {e for e in (*loop.M, *loop.ports) if e.free_symbols}
+        ordered = sorted(entries, key=str)
+        return [(e, [i for i, v in enumerate(loop.z) if e.has(v)]) for e in ordered]
+
     # --- in floating point --------------------------------------------------------------------
+
+    def defined(self, nodes: Vector, e: Vector, half: Vector) -> Truth:
+        """Whether the loop has no pole near nodes (B, ds), within ± half, at minimisers e."""
+        loop, landscape = self._design.loop, self.reduced.landscape
+        lo, hi = landscape.states(nodes - half, e), landscape.states(nodes + half, e)
+        result = np.ones(len(nodes), dtype=bool)
+        with np.errstate(all="ignore"):
+            for entry, used in self._poles:
+                box = Interval(np.minimum(lo, hi)[:, used], np.maximum(lo, hi)[:, used])
+                found = matrix_enclosure(sp.Matrix([[entry]]), [loop.z[i] for i in used], box)
+                result &= np.isfinite(found.lo + found.hi).all((-1, -2))
+        return result
 
     def lowest(self, found: Search) -> Obstacle | None:
         """The bound that the flood from s̄ meets first."""
@@ -83,52 +114,55 @@ class Bounds:
         return min(met, key=lambda obstacle: obstacle.level, default=None)
 
     def _of_momenta(self, found: Search) -> Iterator[Obstacle]:
+        """V is least with pₖ at its bound b where p = b A⁻¹eₖ/(A⁻¹)ₖₖ."""
         if not self._momenta:
             return
-        nodes, resting = found.nodes, self.reduced.potential.resting
-        inverse = self._inverse_inertia(self.reduced.landscape.joined(nodes, found.minima.e))
+        resting = list(self.reduced.potential.resting)
+        inverse = self._inverse_inertia(self.reduced.landscape.joined(found.nodes, found.minima.e))
         for k, reach in self._momenta:
-            levels = np.maximum(found.levels, found.minima.w + reach**2 / (2 * inverse[:, k]))
-            yield self._at(found, levels, resting[k])
+            z = self.reduced.landscape.states(found.nodes, found.minima.e)
+            with np.errstate(all="ignore"):
+                z[:, resting] = reach * inverse[:, k] / inverse[:, k, k][:, None]
+            if reach < self.bounds.hi[resting[k]]:
+                z[:, resting] *= -1
+            values = self._design.lyapunov.V(z)
+            yield from self._met(found, values, z)
 
     def _of_gone(self, found: Search) -> Iterator[Obstacle]:
-        active = self.reduced.potential.active
         for i, end in self._gone:
             held = self._held(i)
-            if held is not None:
-                nodes = self._with(held, found.nodes, i, end)
-                levels = np.maximum(held.landscape.minima(nodes).w, found.levels)
-                yield self._at(found, levels, active[i])
+            s = self._with(held, found.nodes, i, end)
+            minima = held.landscape.minima(s)
+            z = held.landscape.states(s, minima.e)
+            yield from self._met(found, minima.w, z)
 
     def _of_kept(self, found: Search) -> Iterator[Obstacle]:
         active = self.reduced.potential.active
+        z = self.reduced.landscape.states(found.nodes, found.minima.e)
         for axis, i in enumerate(self.reduced.kept):
             for end in (self.bounds.lo[active[i]], self.bounds.hi[active[i]]):
                 if np.isfinite(end):
                     near = np.abs(found.nodes[:, axis] - end) <= 1e-9 * (found.hi - found.lo)[axis]
-                    if near.any():
-                        levels = np.where(near, found.levels, np.inf)
-                        yield self._at(found, levels, active[i])
+                    yield from self._met(found, np.where(near, found.minima.w, np.inf), z)
 
-    def _at(self, found: Search, levels: Vector, state: int) -> Obstacle:
-        at = int(np.nanargmin(np.where(np.isnan(levels), np.inf, levels)))
-        level, s, e = float(levels[at]), found.nodes[at], found.minima.e[at]
-        return Obstacle("domain", level, s, e, state)
+    def _met(self, found: Search, values: Vector, z: Vector) -> Iterator[Obstacle]:
+        """The lowest place of a bound, by V there, that the flood reaches without a higher pass."""
+        slack = _OVER * (values - float(np.nanmin(found.minima.w)))
+        with np.errstate(all="ignore"):
+            met = np.isfinite(values) & (found.levels <= values + slack)
+        if met.any():
+            at = int(np.argmin(np.where(met, values, np.inf)))
+            yield Obstacle("domain", float(values[at]), z[at])
 
     def _inverse_inertia(self, Y: Vector) -> Vector:
-        """(A⁻¹)ᵢᵢ at points of the active states, (B, momenta)."""
-        resting = list(self.reduced.potential.resting)
-        z = np.zeros((len(Y), self._design.loop.n))
-        z[:, list(self.reduced.potential.active)] = Y
-        n = self._design.loop.plant.n
-        x = ca.MX.sym("x", n)
-        hessian = ca.hessian(self._design.lyapunov.terms.H(x), x)[0][resting, resting]
-        found = np.asarray(ca.Function("A", [x], [ca.densify(hessian)]).map(len(Y))(z[:, :n].T))
-        blocks = found.reshape(len(resting), len(Y), len(resting)).swapaxes(0, 1)
-        usable = np.isfinite(blocks).all((1, 2))
-        safe = np.where(usable[:, None, None], blocks, np.eye(len(resting)))
-        inverse = np.diagonal(np.linalg.inv(safe), axis1=1, axis2=2)
-        return np.where(usable[:, None], inverse, np.nan)
+        """A⁻¹ at points of the active states, (B, momenta, momenta); NaN where there is none."""
+        symbols = self.splits.symbols
+        A = np.empty((len(Y), *self.inertia.shape))
+        with np.errstate(all="ignore"):
+            A[:] = matrix_enclosure(self.inertia, symbols, point(Y)).mid
+        usable = np.isfinite(A).all((1, 2))
+        safe = np.where(usable[:, None, None], A, np.eye(A.shape[-1]))
+        return np.where(usable[:, None, None], np.linalg.pinv(safe, hermitian=True), np.nan)
 
     # --- proved -------------------------------------------------------------------------------
 
@@ -136,10 +170,64 @@ class Bounds:
         """Whether no bound is met in {V ≤ c} over the marked cells."""
         return self._momenta_inside(leaves, level) and self._gone_inside(leaves, level)
 
+    def fibres(self, leaves: Leaves, level: float) -> tuple[Vector, Interval]:
+        """At most 2(c − w)/δ (B,), and boxes (B, d) that hold {V(·, p = 0) ≤ c}, cell by cell."""
+        rows = np.flatnonzero(leaves.marked & ~(leaves.cover.ok & (leaves.cover.w.lo > level)))
+        cover = leaves.cover[rows]
+        room = ((level - point(cover.w.lo)) * 2.0 / self._delta).hi
+        boxes = self.reduced.fibres(leaves.boxes[rows], cover, level)
+        active = list(self.reduced.potential.active)
+        lo = np.maximum(boxes.lo, self.bounds.lo[active])
+        return room, Interval(lo, np.minimum(boxes.hi, self.bounds.hi[active]))
+
+    def ranges(self, leaves: Leaves, level: float) -> Interval | None:
+        """A box (N,) of all states that holds Ω; None where A ≻ 0 or the loop is not proved there.
+
+        |pᵢ| ≤ √(2(c − w)(A⁻¹)ᵢᵢ/δ) over each cell and the range of e there.
+        """
+        room, boxes = self.fibres(leaves, level)
+        lo, hi = np.zeros(self._design.loop.n), np.zeros(self._design.loop.n)
+        active, resting = list(self.reduced.potential.active), self.reduced.potential.resting
+        lo[active], hi[active] = boxes.lo.min(0), boxes.hi.max(0)
+        if not (np.isfinite(lo).all() and np.isfinite(hi).all()):
+            return None
+        inverse = self._inverse_inertia(boxes.mid)
+        for k, i in enumerate(resting):
+            near = float(np.sqrt(np.nanmax(np.maximum(room * inverse[:, k, k], 0.0))))
+            reach = next((r for f in _WIDER if self._within(room, boxes, k, r := f * near)), None)
+            if reach is None:
+                return None
+            lo[i], hi[i] = max(-reach, self.bounds.lo[i]), min(reach, self.bounds.hi[i])
+        found = Interval(lo, hi)
+        return found if loop_is_defined(self._design, found) else None
+
+    def _within(self, room: Vector, boxes: Interval, k: int, reach: float) -> bool:
+        """Whether A − 2(c − w)/(δ reach²) eₖeₖᵀ ≻ 0 over boxes (B, d), cut where it is needed."""
+        if not reach > 0:
+            return False
+        used = [i for i, v in enumerate(self.splits.symbols) if self.inertia.has(v)]
+        symbols, cells = [self.splits.symbols[i] for i in used], boxes[:, used]
+        shift = (point(room) / point(reach).square()).hi
+        unit = np.diag(np.eye(self.inertia.rows)[k])
+        for _ in range(2 * _HALVINGS):
+            A = matrix_enclosure(self.inertia, symbols, cells)
+            open_ = np.flatnonzero(~positive_definite(A - shift[:, None, None] * unit))
+            if not open_.size:
+                return True
+            if not used:
+                return False
+            left, shift = cells[open_], np.tile(shift[open_], 2)
+            axis, rows = np.argmax(left.hi - left.lo, axis=1), np.arange(len(open_))
+            lo, hi = left.lo.copy(), left.hi.copy()
+            lo[rows, axis] = hi[rows, axis] = left.mid[rows, axis]
+            cells = concatenate(Interval(left.lo, hi), Interval(lo, left.hi))
+        return False
+
     def _momenta_inside(self, leaves: Leaves, level: float) -> bool:
         """Whether every momentum with a bound stays within it over the marked cells."""
         steady = self.inertia.free_symbols <= {self.splits.symbols[i] for i in self.reduced.kept}
-        inside = self._inside_jointly if steady else self._inside_by_cells
+        joint = steady and self._design.form.phi is None
+        inside = self._inside_jointly if joint else self._inside_by_cells
         return all(inside(leaves, level, k, reach) for k, reach in self._momenta)
 
     def _inside_jointly(self, leaves: Leaves, level: float, k: int, reach: float) -> bool:
@@ -163,7 +251,7 @@ class Bounds:
         rows = np.flatnonzero(leaves.marked)
         cells, cover = leaves.boxes[rows], leaves.cover[rows]
         for _ in range(_HALVINGS):
-            shift = ((level - point(cover.w.lo)) * 2.0 / point(reach).square()).hi
+            shift = ((level - point(cover.w.lo)) * 2.0 / point(reach).square() / self._delta).hi
             boxes = self.reduced.fibres(cells, cover, level)
             A = matrix_enclosure(self.inertia, self.splits.symbols, boxes)
             unit = np.diag(np.eye(A.shape[-1])[k])
@@ -176,11 +264,8 @@ class Bounds:
         return False
 
     def _gone_inside(self, leaves: Leaves, level: float) -> bool:
-        for i, end in self._gone:
-            held = self._held(i)
-            if held is None or not self._held_above(held, leaves, i, end, level):
-                return False
-        return True
+        above = (self._held_above(self._held(i), leaves, i, end, level) for i, end in self._gone)
+        return all(above)
 
     def _held_above(self, held: Reduced, leaves: Leaves, i: int, end: float, level: float) -> bool:
         """Whether min {V(s, e): eᵢ = b} > c on every marked cell."""
@@ -194,7 +279,7 @@ class Bounds:
             cells = halves(cells[np.flatnonzero(~clear)])
         return False
 
-    def _held(self, i: int) -> Reduced | None:
+    def _held(self, i: int) -> Reduced:
         """The split that keeps state i too; V_ee ≻ 0 holds there as it does without it."""
         kept = tuple(sorted((*self.reduced.kept, i)))
         gone = tuple(k for k in self.reduced.gone if k != i)

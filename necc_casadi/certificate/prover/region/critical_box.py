@@ -3,7 +3,7 @@
 With the momenta at rest let V(y) = ½yᵀQy + lᵀy + b(y), Q ≻ 0 and |∂b| ≤ β for all y: the networks
 without their quadratic parts, whose slopes absolute weights bound, and terms of H that are
 periodic. Then every critical point lies in −Q⁻¹l ± |Q⁻¹|β, and V is radially unbounded; with the
-momenta too, wherever their inertia is positive definite (docs/theory.md, uniqueness).
+momenta too, wherever their inertia is positive definite (docs/theory.md#the-whole-space).
 """
 
 from __future__ import annotations

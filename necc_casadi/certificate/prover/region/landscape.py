@@ -46,7 +46,7 @@ class Landscape:
         y = ca.MX.sym("y", len(self.active))
         z = ca.MX.zeros(self.design.loop.n)
         z[list(self.active)] = y
-        V = self.design.lyapunov.V(z)
+        V = self.design.lyapunov(z)
         hess, grad = ca.hessian(V, y)
         both = ca.Function("jet", [y], [V, grad, ca.densify(hess)])
         return ca.Function("V", [y], [V]).map(_ROWS), both.map(_ROWS)
@@ -83,6 +83,12 @@ class Landscape:
         Y = np.empty((len(s), len(self.active)))
         Y[:, self.kept], Y[:, self.gone] = s, e
         return Y
+
+    def states(self, s: Vector, e: Vector) -> Vector:
+        """States z (B, N), the momenta at rest, from s (B, ds) and e (B, de)."""
+        z = np.zeros((len(s), self.design.loop.n))
+        z[:, list(self.active)] = self.joined(s, e)
+        return z
 
     def minima(self, s: Vector, start: Vector | None = None) -> Minima:
         """ε, w and their derivatives at points s (B, ds), by Newton's method from `start` or ξ*."""

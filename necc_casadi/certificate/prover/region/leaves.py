@@ -22,7 +22,7 @@ from necc_casadi.certificate.prover.region.reduced import Cover, Reduced
 __all__ = ["Base", "Leaves", "prove_component", "prove_unique"]
 
 #: Cells per axis at first; pieces per axis of the core; rounds of cutting; cells at most.
-_FIRST = {1: 32, 2: 16, 3: 8}
+_FIRST = {0: 1, 1: 32, 2: 16, 3: 8}
 _CORE = {1: 16, 2: 6, 3: 3}
 _ROUNDS, _MOST = 14, 60_000
 #: From this round on, cells that straddle the level are cut too.
@@ -42,6 +42,11 @@ class Base:
     lo: Vector  # (d,)
     side: Vector  # (d,)
     parts: int  # n, a power of two
+
+    @classmethod
+    def of(cls, lo: Vector, side: Vector) -> Base:
+        """With as many cells at first as the number of states allows."""
+        return cls(lo, side, _FIRST[len(lo)])
 
     def boxes(self, depth: Indices, index: Indices) -> Interval:
         """Cells of depth (B,) and index (B, d) as boxes (B, d)."""
@@ -192,6 +197,8 @@ def _cut(reduced: Reduced, leaves: Leaves, needed: Truth) -> Leaves:
 def _core(reduced: Reduced, base: Base, s_bar: Interval) -> Interval | None:
     """The largest box s̄ ± share of the sides on which ∇²w ≻ 0 is proved."""
     d = len(base.lo)
+    if d == 0:
+        return base.box  # V_ee ≻ 0 says it all
     for share in _CORE_SHARES:
         half = share * base.side / 2
         box = Interval(s_bar.mid - half, s_bar.mid + half)

@@ -8,21 +8,20 @@ reached, and so does a bound of the user's own domain. Where none is met, the bo
 from __future__ import annotations
 
 import heapq
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from itertools import product
-from typing import Literal
 
 import numpy as np
 
 from necc_casadi.arrays import Truth, Vector
+from necc_casadi.certificate.claims.regions import ObstacleKind
 from necc_casadi.certificate.prover.region.landscape import Landscape, Minima
 
-__all__ = ["Kind", "Obstacle", "Search", "search"]
-
-Kind = Literal["critical_point", "singularity", "domain", "input_limits", "arithmetic"]
+__all__ = ["Obstacle", "Search", "search"]
 
 #: Nodes per axis of the search.
-_NODES = {1: 801, 2: 61, 3: 25}
+_NODES = {0: 1, 1: 801, 2: 61, 3: 25}
 #: A Newton step of at most so many steps of the grid makes a node a start for a critical point.
 _SHORT, _NEWTON = 2.0, 14
 #: Two critical points this close, in steps of the grid, are one; slopes this small are zero.
@@ -35,17 +34,16 @@ _ROOM, _ROOM_SHARE = 1.5, 0.05
 class Obstacle:
     """Where the component of {w ≤ c} around s̄ first meets something real."""
 
-    kind: Kind
+    kind: ObstacleKind
     level: float  # of V
-    s: Vector  # (ds,)
-    e: Vector  # (de,)
-    state: int | None = None  # of the domain's bound, index in z
+    z: Vector  # (N,)
 
 
 @dataclass(frozen=True, eq=False)
 class Search:
     """Nodes of a grid, the level at which each is reached from s̄, and the critical points of w."""
 
+    landscape: Landscape
     lo: Vector  # (ds,)
     hi: Vector
     shape: tuple[int, ...]
@@ -57,7 +55,7 @@ class Search:
     @property
     def step(self) -> Vector:
         """Width of the grid's cells, (ds,)."""
-        return np.asarray((self.hi - self.lo) / (np.array(self.shape) - 1), float)
+        return np.asarray((self.hi - self.lo) / (np.array(self.shape, float) - 1), float)
 
     def first(self, s_bar: Vector) -> Obstacle | None:
         """The lowest obstacle in the box; None where none is met."""
@@ -75,7 +73,7 @@ class Search:
             slack = 1e-9 * abs(rise) + 0.02 * max(0.0, w - float(defined.min()))
             far = bool((np.abs(s - s_bar) > _SAME * self.step).any())
             if index > 0 and far and reached <= w + slack and (best is None or w < best.level):
-                best = Obstacle("critical_point", w, s, e)
+                best = Obstacle("critical_point", w, self.place(s, e))
         return best
 
     def _pole(self) -> Obstacle | None:
@@ -88,7 +86,16 @@ class Search:
         at = int(np.argmin(levels))
         if not np.isfinite(levels[at]):
             return None
-        return Obstacle("singularity", float(levels[at]), self.nodes[at], self.minima.e[at])
+        return self.node("singularity", at)
+
+    def place(self, s: Vector, e: Vector) -> Vector:
+        """The state z (N,) of s and e, the momenta at rest."""
+        return self.landscape.states(s[None], e[None])[0]
+
+    def node(self, kind: ObstacleKind, at: int) -> Obstacle:
+        """A node as an obstacle."""
+        place = self.place(self.nodes[at], self.minima.e[at])
+        return Obstacle(kind, float(self.minima.w[at]), place)
 
     def open_sides(self, level: float) -> tuple[Truth, Truth]:
         """Whether the component below `level` touches the lower and the upper side, (ds,)."""
@@ -106,18 +113,30 @@ class Search:
         return low - room, high + room
 
 
-def search(landscape: Landscape, lo: Vector, hi: Vector, s_bar: Vector) -> Search:
-    """Flood w from s̄ on a grid of the box, and find its critical points there."""
+def search(
+    landscape: Landscape,
+    lo: Vector,
+    hi: Vector,
+    s_bar: Vector,
+    defined: Callable[[Vector, Vector, Vector], Truth] | None = None,
+) -> Search:
+    """Flood w from s̄ on a grid of the box, and find its critical points there.
+
+    `defined` tells nodes and minimisers near which, within some steps, the loop has no pole.
+    """
     count = _NODES[len(lo)]
     axes = [np.linspace(a, b, count) for a, b in zip(lo, hi, strict=True)]
     nodes = np.stack([v.ravel() for v in np.meshgrid(*axes, indexing="ij")], -1)
     minima = landscape.minima(nodes)
+    if defined is not None:
+        near = defined(nodes, minima.e, (hi - lo) / max(1, count - 1))
+        minima = replace(minima, w=np.where(near, minima.w, np.nan))
     shape = (count,) * len(lo)
     start = int(np.argmin((((nodes - s_bar) / (hi - lo)) ** 2).sum(1)))
     w = np.where(np.isfinite(minima.w), minima.w, np.inf)
     levels = _flooded(w, shape, start)
     points = _critical_points(landscape, minima, nodes, lo, hi)
-    return Search(lo, hi, shape, nodes, minima, levels, points)
+    return Search(landscape, lo, hi, shape, nodes, minima, levels, points)
 
 
 def _flooded(w: Vector, shape: tuple[int, ...], start: int) -> Vector:
@@ -145,6 +164,8 @@ def _critical_points(
     landscape: Landscape, minima: Minima, nodes: Vector, lo: Vector, hi: Vector
 ) -> tuple[tuple[Vector, Vector, float, int], ...]:
     """(s, ε, w, index) of critical points of w, by Newton's method from every near node."""
+    if not len(lo):
+        return ()
     step = (hi - lo) / (_NODES[len(lo)] - 1)
     s = nodes[np.flatnonzero((np.abs(_newton(minima)) <= _SHORT * step).all(1))]
     for _ in range(_NEWTON):

@@ -1,149 +1,220 @@
-"""The largest region by partial minimisation: the obstacle first, then the proof just below it."""
+"""The largest component by partial minimisation: its obstacle first, then the proof below it."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import islice
 
 import numpy as np
 
 from necc_casadi.arrays import Vector
-from necc_casadi.certificate.prover.arithmetic.intervals import Interval
+from necc_casadi.certificate.claims.regions import CellBox, Region, Side, numbers, packed, rows
+from necc_casadi.certificate.prover.arithmetic.intervals import Interval, matmul, point
 from necc_casadi.certificate.prover.arithmetic.potential import Potential
 from necc_casadi.certificate.prover.region.bounds import Bounds, bounds_of
 from necc_casadi.certificate.prover.region.critical_box import critical_box
-from necc_casadi.certificate.prover.region.leaves import (
-    Base,
-    Leaves,
-    prove_component,
-    prove_unique,
-)
+from necc_casadi.certificate.prover.region.leaves import Base, Leaves, prove_component
 from necc_casadi.certificate.prover.region.obstacle import Obstacle, Search, search
 from necc_casadi.certificate.prover.region.reduced import Reduced
 from necc_casadi.certificate.prover.region.split import Splits
 
-__all__ = ["PartialProof", "prove_partial"]
+__all__ = ["Component", "Components", "sides"]
 
 #: Shares of the obstacle's height that are tried, the first by the number of kept states, and ways
 #: to split that are tried: cells that tell w from a pass grow in number with both.
-_FIRST_SHARE = {1: 0.995, 2: 0.99, 3: 0.98}
-_SHARES = (0.97, 0.95, 0.9, 0.8, 0.5)
+_FIRST_SHARE = {0: 0.999, 1: 0.995, 2: 0.99, 3: 0.98}
+_SHARES = (0.97, 0.95, 0.9, 0.8, 0.5, 0.2, 0.05)
 _SPLITS = 3
-#: Cells per axis at first, by the number of kept states.
-_FIRST = {1: 32, 2: 16, 3: 8}
-#: Half-width of the first search, in natural sizes; how often it may grow, and by which share.
-_REACH, _GROWTHS, _WIDER = 2.0, 8, 0.5
+#: A proof that ends lower than this share of the obstacle's height ends at its own arithmetic.
+_NEAR_ENOUGH = 0.95
+#: How often the box of the search may grow, and by which share of its sides.
+_GROWTHS, _WIDER = 8, 0.5
 #: The part of the way to the obstacle in which the component must stay off the box's border.
 _INNER = 0.999
-#: Room around a critical box, as a share of its sides: its border must be free as well.
-_ROOM = 0.02
+#: Half-width of the box in which a critical point of V is proved, against the state's magnitude.
+_TIGHT = 1e-8
 
 
 @dataclass(frozen=True, eq=False)
-class PartialProof:
-    """A component of {V ≤ c}, or the whole space, that holds one critical point of V."""
+class Component:
+    """A component of {V ≤ c} that holds one critical point of V, z̄; natural units."""
 
-    reduced: Reduced
-    leaves: Leaves | None  # None: V is strongly convex in all active states, nothing is kept
-    level: float  # c; +∞ for the whole space
-    obstacle: Obstacle | None  # what ends the component; None for the whole space
+    bounds: Bounds
+    leaves: Leaves
+    level: float  # c
+    obstacle: Obstacle
+    ranges: Interval  # (N,), of every state on it
 
     @property
-    def is_whole(self) -> bool:
-        """Whether the whole space is meant."""
-        return self.obstacle is None
+    def reduced(self) -> Reduced:
+        """V with the states that are not kept minimised out."""
+        return self.bounds.reduced
 
+    def fibres(self, level: float) -> Interval:
+        """Boxes (B, d) of the active states that hold the component at a lower level."""
+        return self.bounds.fibres(self.leaves, level)[1]
 
-def prove_partial(potential: Potential, z_bar: Interval) -> PartialProof | None:
-    """The best proof over the ways to split the active states; `z_bar` (d,) holds z̄ in them."""
-    design, active = potential.design, list(potential.active)
-    bounds = bounds_of(design)
-    box = critical_box(potential)
-    if np.isfinite(bounds.lo).any() or np.isfinite(bounds.hi).any():
-        box = None  # the user's bounds end the claim before the whole space does
-    splits = Splits(potential)
-    z_star = design.z_star[active]
-    around = Interval(
-        np.maximum(z_star - _REACH, bounds.lo[active]),
-        np.minimum(z_star + _REACH, bounds.hi[active]),
-    )
-    bottom = float(potential.jet(z_bar[None, :]).value.hi[0])
-    for reduced in islice(splits.candidates(around if box is None else box), _SPLITS):
-        proof = _proved(Bounds(reduced, splits, bounds), box, z_bar, bottom)
-        if proof is not None:
-            return proof
-    return None
-
-
-def _proved(
-    bounds: Bounds, box: Interval | None, z_bar: Interval, bottom: float
-) -> PartialProof | None:
-    reduced = bounds.reduced
-    kept = list(reduced.kept)
-    if not kept:
-        whole = bool(
-            not np.isfinite(bounds.bounds.lo).any() and not np.isfinite(bounds.bounds.hi).any()
+    @property
+    def region(self) -> Region:
+        """The component as data."""
+        leaves, reduced = self.leaves, self.reduced
+        base, marked = leaves.base, np.flatnonzero(leaves.marked)
+        return Region(
+            level=self.level,
+            active=reduced.potential.active,
+            kept=reduced.kept,
+            floor=rows(reduced.floor),
+            bends=self.bounds.splits.bends,
+            box=CellBox(numbers(base.lo), numbers(base.side), base.parts),
+            core=sides(leaves.core),
+            cells=packed((int(leaves.depth[k]), tuple(map(int, leaves.index[k]))) for k in marked),
         )
-        return PartialProof(reduced, None, np.inf, None) if whole else None
-    s_bar = z_bar[kept]
-    start = None if box is None else box[kept]
-    found, obstacle = _explored(bounds, start, s_bar.mid, bottom)
-    if obstacle is None:
-        return None if start is None else _unique(reduced, start, s_bar)
-    for share in (_FIRST_SHARE[len(kept)], *_SHARES):
-        level = bottom + share * (obstacle.level - bottom)
-        lo, hi = found.around(bottom + max(share, _INNER) * (obstacle.level - bottom))
-        base = _base(bounds, lo, hi)
+
+
+def sides(box: Interval) -> tuple[Side, ...]:
+    """A box (d,) as data."""
+    return tuple((float(a), float(b)) for a, b in zip(box.lo, box.hi, strict=True))
+
+
+@dataclass(frozen=True, eq=False)
+class Components:
+    """Components of {V ≤ c} around z̄, at the level of an obstacle or at a given one."""
+
+    potential: Potential
+    z_bar: Interval  # (d,), holds z̄ in the active states
+
+    @cached_property
+    def bounds(self) -> Interval:
+        """The bounds that the model names, (N,)."""
+        return bounds_of(self.potential.design)
+
+    @property
+    def bounded(self) -> bool:
+        """Whether the model names a bound of a state."""
+        return bool(np.isfinite(self.bounds.lo).any() or np.isfinite(self.bounds.hi).any())
+
+    @cached_property
+    def bottom(self) -> float:
+        """An upper bound of V(z̄)."""
+        return float(self.potential.jet(self.z_bar[None, :]).value.hi[0])
+
+    @cached_property
+    def _splits(self) -> Splits:
+        return Splits(self.potential)
+
+    @cached_property
+    def _around(self) -> Interval:
+        """Where the search begins: the domain, or the box that holds every critical point."""
+        active = list(self.potential.active)
+        domain = self.potential.design.domain.of(active)
+        box = None if self.bounded else critical_box(self.potential)
+        if box is None:
+            box = Interval(domain.lo, domain.hi)
+        lo = np.maximum(np.minimum(box.lo, self.z_bar.lo), self.bounds.lo[active])
+        return Interval(lo, np.minimum(np.maximum(box.hi, self.z_bar.hi), self.bounds.hi[active]))
+
+    @property
+    def candidates(self) -> Iterator[Bounds]:
+        """Ways to split the states, the fewest kept first."""
+        for reduced in islice(self._splits.candidates(self._around), _SPLITS):
+            yield Bounds(reduced, self._splits, self.bounds)
+
+    def largest(self) -> Component | None:
+        """The component just below its obstacle; None where none is proved."""
+        active = list(self.potential.active)
+        least, most = self.bounds.lo[active], self.bounds.hi[active]
+        if not ((least < self.z_bar.lo) & (self.z_bar.hi < most)).all():
+            return None
+        found = map(self._below_obstacle, self.candidates)
+        return next((component for component in found if component is not None), None)
+
+    def _below_obstacle(self, bounds: Bounds) -> Component | None:
+        found, obstacle = self._explored(bounds, np.inf)
+        obstacle = obstacle or _edge(found)
+        height = obstacle.level - self.bottom
+        if not height > 0:
+            return None
+        obstacle = self._judged(obstacle)
+        for share in (_FIRST_SHARE[len(bounds.reduced.kept)], *_SHARES):
+            room = self.bottom + max(share, _INNER) * height
+            named = obstacle if share >= _NEAR_ENOUGH else replace(obstacle, kind="arithmetic")
+            component = self._at(bounds, found, self.bottom + share * height, room, named)
+            if component is not None:
+                return component
+        return None
+
+    def at(self, level: float, obstacle: Obstacle) -> Component | None:
+        """The component at a level below which no obstacle is met."""
+        for bounds in self.candidates:
+            found, _ = self._explored(bounds, level)
+            component = self._at(bounds, found, level, level, obstacle)
+            if component is not None:
+                return component
+        return None
+
+    def _at(
+        self, bounds: Bounds, found: Search, level: float, room: float, obstacle: Obstacle
+    ) -> Component | None:
+        kept = list(bounds.reduced.kept)
+        base = _base(bounds, *found.around(room))
         fitting = _refloored(bounds, base)
         if fitting is None:
             return None
-        leaves = prove_component(fitting.reduced, base, s_bar, level, bottom)
-        if leaves is not None and fitting.kept(leaves, level):
-            return PartialProof(fitting.reduced, leaves, level, obstacle)
-    return None
+        leaves = prove_component(fitting.reduced, base, self.z_bar[kept], level, self.bottom)
+        if leaves is None or not fitting.kept(leaves, level):
+            return None
+        ranges = fitting.ranges(leaves, level)
+        return None if ranges is None else Component(fitting, leaves, level, obstacle, ranges)
 
+    def _explored(self, bounds: Bounds, ceiling: float) -> tuple[Search, Obstacle | None]:
+        """What ends the component of s̄ below a level, in floats; the box grows until it fits."""
+        active, reduced = self.potential.active, bounds.reduced
+        kept = [active[i] for i in reduced.kept]
+        s_bar = self.z_bar[list(reduced.kept)].mid
+        least, most = self.bounds.lo[kept], self.bounds.hi[kept]
+        box = self._around[list(reduced.kept)]
+        lo, hi = box.lo, box.hi
+        for _ in range(_GROWTHS):
+            found = search(reduced.landscape, lo, hi, s_bar, bounds.defined)
+            met = [o for o in (found.first(s_bar), bounds.lowest(found)) if o is not None]
+            obstacle = min(met, key=lambda o: o.level, default=None)
+            level = ceiling
+            if obstacle is not None:
+                level = min(ceiling, self.bottom + _INNER * (obstacle.level - self.bottom))
+            low, high = found.open_sides(level)
+            low, high = low & (lo > least), high & (hi < most)
+            if not low.any() and not high.any():
+                return found, obstacle
+            width = hi - lo
+            lo = np.maximum(lo - _WIDER * width * low, least)
+            hi = np.minimum(hi + _WIDER * width * high, most)
+        return found, obstacle
 
-def _unique(reduced: Reduced, box: Interval, s_bar: Interval) -> PartialProof | None:
-    """The whole space, where w has one critical point in a box that holds all of them."""
-    room = _ROOM * (box.hi - box.lo)
-    base = Base(box.lo - room, box.hi - box.lo + 2 * room, _FIRST[len(room)])
-    leaves = prove_unique(reduced, base, s_bar)
-    return None if leaves is None else PartialProof(reduced, leaves, np.inf, None)
-
-
-def _explored(
-    bounds: Bounds, start: Interval | None, s_bar: Vector, bottom: float
-) -> tuple[Search, Obstacle | None]:
-    """What ends the component of s̄, in floats; the box grows until something does."""
-    active = bounds.reduced.potential.active
-    kept = [active[i] for i in bounds.reduced.kept]
-    least, most = bounds.bounds.lo[kept], bounds.bounds.hi[kept]
-    lo, hi = (s_bar - _REACH, s_bar + _REACH) if start is None else (start.lo, start.hi)
-    lo, hi = np.maximum(lo, least), np.minimum(hi, most)
-    for _ in range(_GROWTHS):
-        found = search(bounds.reduced.landscape, lo, hi, s_bar)
-        met = [o for o in (found.first(s_bar), bounds.lowest(found)) if o is not None]
-        obstacle = min(met, key=lambda o: o.level, default=None)
-        if obstacle is None and start is not None:
-            return found, None
-        level = np.inf if obstacle is None else bottom + _INNER * (obstacle.level - bottom)
-        low, high = found.open_sides(level)
-        low, high = low & (lo > least), high & (hi < most)
-        if obstacle is not None and not low.any() and not high.any():
-            return found, obstacle
-        width = hi - lo
-        lo = np.maximum(lo - _WIDER * width * low, least)
-        hi = np.minimum(hi + _WIDER * width * high, most)
-    return found, _edge(found) if obstacle is None else obstacle
+    def _judged(self, obstacle: Obstacle) -> Obstacle:
+        """The obstacle; a critical point only where one is proved to be there."""
+        if obstacle.kind != "critical_point":
+            return obstacle
+        y = obstacle.z[list(self.potential.active)]
+        half = _TIGHT * (1 + np.abs(y))
+        jet = self.potential.jet(Interval(y - half, y + half)[None])
+        slope = self.potential.jet(point(y)[None]).grad[0]
+        H = jet.hess[0]
+        if not (np.isfinite(H.mid).all() and np.linalg.det(H.mid) != 0):
+            return replace(obstacle, kind="arithmetic")
+        T = np.linalg.inv(H.mid)
+        step = matmul(T, slope[:, None])[:, 0]
+        spread = matmul(np.eye(len(y)) - matmul(T, H), Interval(-half, half)[:, None])[:, 0]
+        inside = bool(((spread - step).magnitude < half).all())
+        return obstacle if inside else replace(obstacle, kind="arithmetic")
 
 
 def _edge(found: Search) -> Obstacle:
     """Where the flood leaves the largest box that was searched: no real obstacle was met."""
     tiny = 1e-9 * (found.hi - found.lo)
     border = ((found.nodes <= found.lo + tiny) | (found.nodes >= found.hi - tiny)).any(1)
-    at = int(np.argmin(np.where(border, found.levels, np.inf)))
-    level = float(found.levels[at])
-    return Obstacle("arithmetic", level, found.nodes[at], found.minima.e[at])
+    return found.node("arithmetic", int(np.argmin(np.where(border, found.levels, np.inf))))
 
 
 def _base(bounds: Bounds, lo: Vector, hi: Vector) -> Base:
@@ -154,7 +225,7 @@ def _base(bounds: Bounds, lo: Vector, hi: Vector) -> Base:
     hi = np.minimum(hi, bounds.bounds.hi[kept])
     side = hi - lo
     side = np.where(lo + side > hi, np.nextafter(side, 0.0), side)
-    return Base(lo, side, _FIRST[len(lo)])
+    return Base.of(lo, side)
 
 
 def _refloored(bounds: Bounds, base: Base) -> Bounds | None:

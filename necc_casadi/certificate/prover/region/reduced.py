@@ -2,9 +2,9 @@
 
 Let y = (s, e) with V_ee(s, e) ⪰ F ≻ 0 for every e. Then V(s, ·) has one critical point ε(s), its
 minimum; w(s) = V(s, ε(s)) has ∇w = V_s and ∇²w = V_ss − V_se V_ee⁻¹ V_es there, and s ↦ (s, ε(s))
-maps the critical points of w one-to-one onto those of V, index for index (docs/theory.md, partial
-minimisation). The component of {V ≤ c} with z̄ is the part of {V ≤ c} over the component of
-{w ≤ c} with s̄.
+maps the critical points of w one-to-one onto those of V, index for index
+(docs/theory.md#regions-by-partial-minimisation). The component of {V ≤ c} with z̄ is the part of
+{V ≤ c} over the component of {w ≤ c} with s̄.
 
 On a cell with middle ŝ the minimum is enclosed around a sheet ê(s) = ê + A(s − ŝ); ê and A come
 from floating point and need not be right. With H an enclosure of ∇²V around the sheet,

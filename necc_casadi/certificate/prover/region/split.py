@@ -16,22 +16,23 @@ import numpy as np
 import sympy as sp
 
 from necc_casadi.arrays import Vector
+from necc_casadi.certificate.claims.regions import Bends
 from necc_casadi.certificate.prover.arithmetic.boxes import matrix_enclosure, subdivide
 from necc_casadi.certificate.prover.arithmetic.definite import positive_definite
-from necc_casadi.certificate.prover.arithmetic.hessian_floor import hessian_floor
+from necc_casadi.certificate.prover.arithmetic.hessian_floor import sharpest_floor
 from necc_casadi.certificate.prover.arithmetic.intervals import Interval, matmul
 from necc_casadi.certificate.prover.arithmetic.potential import Potential
 from necc_casadi.certificate.prover.region.critical_box import is_periodic
 from necc_casadi.certificate.prover.region.reduced import Reduced
 
-__all__ = ["Splits"]
+__all__ = ["MOST_KEPT", "Splits"]
 
 #: Shares of the least of the matrices below V_ee that are tried for F, the largest first.
 _SHARES = (1 - 1e-9, 0.999, 0.98, 0.9, 0.7, 0.4, 0.1)
 #: Cells of the states on which V_ee depends, in all; half a period, a little more than π.
 _CELLS, _HALF_PERIOD = 4096, 3.15
 #: States that cells can cover at most.
-_MOST_KEPT = 3
+MOST_KEPT = 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,11 +56,27 @@ class Splits:
         return sp.Matrix([[sp.diff(c, s) for s in self.symbols] for c in functions])
 
     @cached_property
-    def _network_floors(self) -> tuple[Interval, Interval]:
-        """Matrices below ∇²K and ∇²Hc."""
+    def _network_floors(
+        self,
+    ) -> tuple[tuple[Interval, float | None], tuple[Interval, float | None]]:
+        """Matrices below ∇²Hc and ∇²K, and the bends on which they rest."""
         form = self.potential.design.form
         of_hc, of_k = form.split(self.potential.design.weights)[:2]
-        return hessian_floor(form.k, of_k), hessian_floor(form.hc, of_hc)
+        return sharpest_floor(form.hc, of_hc), sharpest_floor(form.k, of_k)
+
+    @property
+    def bends(self) -> Bends:
+        """Numbers below f″ of Hc and K on which the floors rest, where they do."""
+        if self._is_mixed:
+            return None, None
+        (_, of_hc), (_, of_k) = self._network_floors
+        return of_hc, of_k
+
+    @property
+    def _is_mixed(self) -> bool:
+        """Whether V is other than a sum H + Hc + K(c), of which no floor is known."""
+        form = self.potential.design.form
+        return form.phi is not None or bool(form.betas)
 
     @cached_property
     def _periodic(self) -> set[sp.Symbol]:
@@ -73,9 +90,7 @@ class Splits:
         Among equals the widest margin comes first, in the units of the box.
         """
         d = len(self.symbols)
-        if self.potential.design.form.phi is not None or self.potential.design.form.betas:
-            return
-        for size in range(min(d, _MOST_KEPT) + 1):
+        for size in range(d if self._is_mixed else 0, min(d, MOST_KEPT) + 1):
             found = []
             for kept in combinations(range(d), size):
                 reduced = self.split(kept, around)
@@ -128,7 +143,7 @@ class Splits:
         if cells is None:
             return None
         slopes = matrix_enclosure(N, used, cells)
-        K, Hc = self._network_floors
+        (Hc, _), (K, _) = self._network_floors
         turned = Interval(np.swapaxes(slopes.lo, -1, -2), np.swapaxes(slopes.hi, -1, -2))
         total = matrix_enclosure(H, used, cells) + matmul(turned, matmul(K, slopes))
         rows = [k for k, i in enumerate(gone) if i >= len(self.symbols) - Hc.shape[0]]
