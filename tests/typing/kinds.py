@@ -60,4 +60,4 @@ def the_house(V: LyapunovFunction, energy: Energy, net: Net, stored: StoredDesig
     assert_type(gradient(x**2, [x])[0], sp.Expr)
     assert_type(hessian_hull(energy, ((0.0, 1.0),)), arb_mat)
     assert_type(net.layers[0][0], arb_mat)
-    assert_type(stored.bounds[0][0], arb)
+    assert_type(stored.named_bounds[0][0], float)

@@ -93,10 +93,10 @@ class _WholeSpace:
         floor = FloorProof(self.energy, claim.kept, claim.floor, claim.bends)
         if not floor.holds(tuple(_joined(a, b) for a, b in zip(s, claim.core, strict=True))):
             return False
+        start = [self.evidence.minimum[i] for i in claim.active]
+        reduced = Reduced(self.energy, claim.kept, claim.floor, start)  # F ≻ 0, or it raises
         if not claim.kept:
             return True
-        start = [self.evidence.minimum[i] for i in claim.active]
-        reduced = Reduced(self.energy, claim.kept, claim.floor, start)
         s_bar = [self.evidence.z_bar(claim.active)[i] for i in claim.kept]
         home = all(a < lo and hi < b for (a, b), (lo, hi) in zip(claim.core, s_bar, strict=True))
         return home and is_unique(reduced, s, claim.core)

@@ -12,6 +12,7 @@ from necc_casadi.certificate.checker.evidence import Checked
 from necc_casadi.certificate.claims.fields import read_as
 from necc_casadi.certificate.claims.regions import Region, packed
 from necc_casadi.certificate.prover.certify import certify
+from necc_casadi.errors import OutputError
 
 
 def test_the_first_obligation_that_fails_is_named_and_none_after_it_is_tried():
@@ -112,7 +113,12 @@ def steeper(data):
 
 def momentum_forgotten(data):
     entry = claim(data, "global")["data"]
-    entry["active"], entry["floor"] = [0, 1], entry["floor"][:1]
+    entry["active"] = [0, 1]
+
+
+def turned_floor(data):
+    entry = claim(data, "global")["data"]
+    entry["floor"] = [[-v for v in row] for row in entry["floor"]]
 
 
 def steeper_floor(data):
@@ -184,3 +190,14 @@ def test_a_loop_that_is_none_is_refused_by_what_it_lacks(made, tmp_path):
         refused = {result.name: result for result in check(tmp_path)}[name]
         assert not refused.holds
         assert refused.statement.endswith(f"; not proved: {words}")
+
+
+def test_a_floor_that_is_not_positive_is_unreadable(made, tmp_path):
+    """V_ee ⪰ F alone says nothing: F must be ≻ 0."""
+    design, text = made["global"]
+    data = json.loads(text)
+    turned_floor(data)
+    design.save(tmp_path / "design.json")
+    (tmp_path / "certificate.json").write_text(json.dumps(data), encoding="utf-8")
+    with pytest.raises(OutputError):
+        check(tmp_path)

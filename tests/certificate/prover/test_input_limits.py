@@ -13,7 +13,7 @@ from necc_casadi.certificate.checker.check import check
 from necc_casadi.certificate.checker.evidence import Evidence
 from necc_casadi.certificate.checker.input_limits import check_input_limits
 from necc_casadi.certificate.checker.model import StoredDesign
-from necc_casadi.certificate.checker.region.region import region_proof
+from necc_casadi.certificate.checker.region.region import RegionProof
 from necc_casadi.certificate.claims.fields import Fields
 from necc_casadi.certificate.prover.certify import certify
 from necc_casadi.designs.design import Design
@@ -185,7 +185,9 @@ def rechecked(folder, change) -> bool:
     change(data)
     model = StoredDesign(json.loads((folder / "design.json").read_text(encoding="utf-8")))
     evidence = Evidence(model, Fields(data))
-    return check_input_limits(evidence, region_proof(evidence), True).holds
+    region = evidence.certificate.region
+    proof = None if region is None else RegionProof(evidence, region)
+    return check_input_limits(evidence, proof, True).holds
 
 
 @pytest.mark.slow

@@ -43,6 +43,8 @@ def middle_of(A: arb_mat) -> np.ndarray[Any, Any]:
 def positive(A: arb_mat, mu: float) -> bool:
     """Whether A − μI ≻ 0: close to diagonal in the eigenvectors of its middle, then Gershgorin."""
     n = A.nrows()
+    if n == 0:
+        return True
     middle = middle_of(A)
     if not np.isfinite(middle).all():
         return False

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -86,7 +87,10 @@ class ObstacleProof:
 
     def _is_at_a_bound(self) -> bool:
         return any(
-            any(abs(v - end) <= _CLOSE * (1 + abs(end)) for end in self.model.named_bounds[i])
+            any(
+                math.isfinite(end) and abs(v - end) <= _CLOSE * (1 + abs(end))
+                for end in self.model.named_bounds[i]
+            )
             for i, v in enumerate(self.at)
         )
 

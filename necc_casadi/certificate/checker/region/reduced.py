@@ -173,7 +173,7 @@ class Reduced:
         self, slope: list[arb], G: list[list[arb]], steps: Sequence[arb], drift: list[arb]
     ) -> list[arb]:
         middle = np.array([[float(v.mid()) for v in row] for row in G])
-        if not np.isfinite(middle).all():
+        if not G or not np.isfinite(middle).all():
             return []
         result = []
         for column in np.linalg.eigh((middle + middle.T) / 2)[1].T:
@@ -183,7 +183,7 @@ class Reduced:
         return result
 
     def _schur(self, G: list[list[arb]], B: list[list[arb]]) -> arb_mat:
-        if self.factor is None:
+        if self.factor is None or not G:
             return arb_mat(G)
         scaled = self.factor * arb_mat(B)
         return arb_mat(G) - scaled.transpose() * scaled * arb(1 + _MADE_UP)

@@ -81,13 +81,16 @@ class RegionProof:
         """Small boxes of the active states that hold {V ≤ c} over the marked cells."""
         return [box for _, box in self.cells.fibres(level)]
 
+    def rests(self) -> bool:
+        """Whether the states that are not in y are momenta."""
+        return are_momenta(self.model, self.resting)
+
     def obligations(self) -> list[Obligation]:
         """What has to be proved of the component itself."""
         region, kept = self.region, self.region.kept
         floor = FloorProof(self.energy, kept, region.floor, region.bends)
         s_bar = tuple(self.z_bar[i] for i in kept)
         return [
-            ("the resting states are momenta", lambda: are_momenta(self.model, self.resting)),
             ("V(z̄) < c", lambda: bool(self.bottom < region.level)),
             ("V_ee ⪰ F for every e", lambda: floor.holds(region.box.whole)),
             ("the cells are apart", lambda: self.cells.are_apart()),
@@ -160,6 +163,7 @@ def check_region(evidence: Evidence, proof: RegionProof | None, sound: bool) -> 
         "region",
         statements.region(height, obstacle, follows),
         [
+            ("the resting states are momenta", proof.rests),
             (
                 "the level is that of the region",
                 lambda: region.level * energy == certificate.level,

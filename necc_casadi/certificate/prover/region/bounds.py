@@ -160,7 +160,7 @@ class Bounds:
         A = np.empty((len(Y), *self.inertia.shape))
         with np.errstate(all="ignore"):
             A[:] = matrix_enclosure(self.inertia, symbols, point(Y)).mid
-        usable = np.isfinite(A).all((1, 2))
+        usable: Truth = np.asarray(np.isfinite(A).all((1, 2)))
         safe = np.where(usable[:, None, None], A, np.eye(A.shape[-1]))
         return np.where(usable[:, None, None], np.linalg.pinv(safe, hermitian=True), np.nan)
 

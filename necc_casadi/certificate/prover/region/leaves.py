@@ -24,7 +24,7 @@ __all__ = ["Base", "Leaves", "prove_component", "prove_unique"]
 #: Cells per axis at first; pieces per axis of the core; rounds of cutting; cells at most.
 _FIRST = {0: 1, 1: 32, 2: 16, 3: 8}
 _CORE = {1: 16, 2: 6, 3: 3}
-_ROUNDS, _MOST = 14, 60_000
+_ROUNDS, _MOST = 14, 20_000
 #: From this round on, cells that straddle the level are cut too.
 _STRADDLING = 5
 #: Halves of the box's sides that are tried for the core, largest first.

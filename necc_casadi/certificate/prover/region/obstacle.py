@@ -90,7 +90,8 @@ class Search:
 
     def place(self, s: Vector, e: Vector) -> Vector:
         """The state z (N,) of s and e, the momenta at rest."""
-        return self.landscape.states(s[None], e[None])[0]
+        place: Vector = self.landscape.states(s[None], e[None])[0]
+        return place
 
     def node(self, kind: ObstacleKind, at: int) -> Obstacle:
         """A node as an obstacle."""
@@ -126,7 +127,8 @@ def search(
     """
     count = _NODES[len(lo)]
     axes = [np.linspace(a, b, count) for a, b in zip(lo, hi, strict=True)]
-    nodes = np.stack([v.ravel() for v in np.meshgrid(*axes, indexing="ij")], -1)
+    mesh = [v.ravel() for v in np.meshgrid(*axes, indexing="ij")]
+    nodes = np.stack(mesh, -1) if mesh else np.zeros((1, 0))
     minima = landscape.minima(nodes)
     if defined is not None:
         near = defined(nodes, minima.e, (hi - lo) / max(1, count - 1))

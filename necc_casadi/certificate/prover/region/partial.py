@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import islice
@@ -31,6 +30,9 @@ _SPLITS = 3
 _NEAR_ENOUGH = 0.95
 #: How often the box of the search may grow, and by which share of its sides.
 _GROWTHS, _WIDER = 8, 0.5
+#: How often the domain is doubled where nothing ends the component, and V is of no form by which the
+#: whole space could be proved.
+_DOUBLINGS = 4
 #: The part of the way to the obstacle in which the component must stay off the box's border.
 _INNER = 0.999
 #: Half-width of the box in which a critical point of V is proved, against the state's magnitude.
@@ -115,11 +117,11 @@ class Components:
         lo = np.maximum(np.minimum(box.lo, self.z_bar.lo), self.bounds.lo[active])
         return Interval(lo, np.minimum(np.maximum(box.hi, self.z_bar.hi), self.bounds.hi[active]))
 
-    @property
-    def candidates(self) -> Iterator[Bounds]:
+    @cached_property
+    def candidates(self) -> list[Bounds]:
         """Ways to split the states, the fewest kept first."""
-        for reduced in islice(self._splits.candidates(self._around), _SPLITS):
-            yield Bounds(reduced, self._splits, self.bounds)
+        found = islice(self._splits.candidates(self._around), _SPLITS)
+        return [Bounds(reduced, self._splits, self.bounds) for reduced in found]
 
     def largest(self) -> Component | None:
         """The component just below its obstacle; None where none is proved."""
@@ -132,7 +134,8 @@ class Components:
 
     def _below_obstacle(self, bounds: Bounds) -> Component | None:
         found, obstacle = self._explored(bounds, np.inf)
-        obstacle = obstacle or _edge(found)
+        if obstacle is None:
+            return self._grown(bounds)
         height = obstacle.level - self.bottom
         if not height > 0:
             return None
@@ -144,6 +147,22 @@ class Components:
             if component is not None:
                 return component
         return None
+
+    def _grown(self, bounds: Bounds) -> Component | None:
+        """Where nothing ends it: the component inside the largest box in which one is proved."""
+        kept = list(bounds.reduced.kept)
+        box, s_bar = self._around[kept], self.z_bar[kept].mid
+        best: Component | None = None
+        for doubling in range(_DOUBLINGS):
+            lo, hi = (s_bar + 2.0**doubling * (end - s_bar) for end in (box.lo, box.hi))
+            found = search(bounds.reduced.landscape, lo, hi, s_bar, bounds.defined)
+            edge = _edge(found)
+            level = self.bottom + _FIRST_SHARE[len(kept)] * (edge.level - self.bottom)
+            component = self._at(bounds, found, level, edge.level, edge)
+            if component is None:
+                break
+            best = component
+        return best
 
     def at(self, level: float, obstacle: Obstacle) -> Component | None:
         """The component at a level below which no obstacle is met."""
@@ -203,7 +222,7 @@ class Components:
         H = jet.hess[0]
         if not (np.isfinite(H.mid).all() and np.linalg.det(H.mid) != 0):
             return replace(obstacle, kind="arithmetic")
-        T = np.linalg.inv(H.mid)
+        T = np.asarray(np.linalg.inv(H.mid), float)
         step = matmul(T, slope[:, None])[:, 0]
         spread = matmul(np.eye(len(y)) - matmul(T, H), Interval(-half, half)[:, None])[:, 0]
         inside = bool(((spread - step).magnitude < half).all())

@@ -55,31 +55,32 @@ class RegionProof:
     @cached_property
     def level_u(self) -> float | None:
         """The largest level that was found at which u keeps its limits; None: none was."""
-        height = self.component.level - self.bottom
         best: float | None = None
-        low, high = 0.0, height
+        low, high = 0.0, 1.0
         for share in _SHARES:
-            found = self._kept(self.bottom + share * height)
-            if found is not None and (best is None or found > best):
-                best = found
-            if found is None or found < self.bottom + share * height:
-                high = share * height
+            found = self.kept_below(self._level(share))
+            best = _larger(best, found)
+            if found is None or found < self._level(share):
+                high = share
                 break
-            low = share * height
-        for _ in range(_HALVINGS if low < height else 0):
+            low = share
+        for _ in range(_HALVINGS if low < high else 0):
             middle = (low + high) / 2
-            found = self._kept(self.bottom + middle)
-            if found is not None and (best is None or found > best):
-                best = found
-            whole = found is not None and found >= self.bottom + middle
+            found = self.kept_below(self._level(middle))
+            best = _larger(best, found)
+            whole = found is not None and found >= self._level(middle)
             low, high = (middle, high) if whole else (low, middle)
         return best
 
-    def _kept(self, level: float) -> float | None:
+    def _level(self, share: float) -> float:
+        """The level at a share of the component's height."""
+        level = self.component.level
+        return level if share == 1 else self.bottom + share * (level - self.bottom)
+
+    def kept_below(self, level: float) -> float | None:
         """The largest level up to this one at which u keeps its limits, by boxes for this one."""
-        level = min(level, self.component.level)
-        reduced = self.component.reduced
-        return input_level(reduced.potential, self.component.fibres(level), level, self.bottom)
+        potential = self.component.reduced.potential
+        return input_level(potential, self.component.fibres(level), level, self.bottom)
 
 
 def prove_region(potential: Potential, z_bar: Interval) -> RegionProof | None:
@@ -92,22 +93,34 @@ def prove_region(potential: Potential, z_bar: Interval) -> RegionProof | None:
 def prove_region_within_limits(potential: Potential, z_bar: Interval) -> RegionProof | None:
     """The component at whose level the input limits bind, where nothing else ends it."""
     components = Components(potential, z_bar)
-    best: RegionProof | None = None
+    level = _level_of_limits(components)
+    proof = None if level is None else _at(components, level)
+    for _ in range(_HALVINGS):
+        if proof is None or proof.level_u in (None, proof.component.level):
+            return proof
+        proof = _at(components, proof.level_u or components.bottom)
+    return None
+
+
+def _level_of_limits(components: Components) -> float | None:
+    """The largest level that was found at which u keeps its limits; None: none was."""
+    best: float | None = None
     for height in _HEIGHTS:
-        at = _bound_by_inputs(components.bottom + height)
-        component = components.at(at.level, at)
-        if component is None:
+        level = components.bottom + height
+        proof = _at(components, level)
+        kept = None if proof is None else proof.kept_below(level)
+        best = _larger(best, kept)
+        if kept is None or kept < level:
             break
-        proof = RegionProof(component, components.bottom)
-        level = proof.level_u
-        if level is None:
-            break
-        if level < component.level:
-            ended = components.at(level, _bound_by_inputs(level))
-            return best if ended is None else RegionProof(ended, components.bottom)
-        best = proof
     return best
 
 
-def _bound_by_inputs(level: float) -> Obstacle:
-    return Obstacle("input_limits", level, np.zeros(0))
+def _at(components: Components, level: float) -> RegionProof | None:
+    """The component at a level that only the inputs end."""
+    component = components.at(level, Obstacle("input_limits", level, np.zeros(0)))
+    return None if component is None else RegionProof(component, components.bottom)
+
+
+def _larger(a: float | None, b: float | None) -> float | None:
+    """The larger of two levels, either of which may not have been found."""
+    return max((v for v in (a, b) if v is not None), default=None)

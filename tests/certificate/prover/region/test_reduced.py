@@ -77,7 +77,7 @@ def assert_inside(cover, found, count):
     assert low.shape == found.hess[good].shape
 
 
-@pytest.mark.parametrize("width", [0.2, 0.05, 0.01])
+@pytest.mark.parametrize("width", [0.05, 0.02, 0.005])
 def test_random_points_lie_in_the_enclosures(reduced, width):
     cells = cells_of(reduced, width, 1)
     cover = reduced.cover(cells)

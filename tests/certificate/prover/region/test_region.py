@@ -120,6 +120,7 @@ def test_forms_without_a_floor_keep_every_state(options):
     assert certificate.region.kept == (0, 1)
     assert certificate.region.floor == ()
     assert certificate.obstacle_share > 0.9
+    assert certificate.reach["q"][1] - certificate.reach["q"][0] > 2
 
 
 @pytest.mark.parametrize("hidden", [(16,), pytest.param((64, 64), marks=pytest.mark.slow)])
