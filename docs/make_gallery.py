@@ -207,9 +207,12 @@ def outcome(run: Run) -> str:
     level = found.certificate.level
     if level is not None:
         rows.append(reach(found) + "\n")
-        starts = region_boundary(found.design, level)
+        starts = region_boundary(found.design, level, found.certificate.reach)
         pictures["proved region"] = region_figure(
-            found.design, level, [simulate(found.design, x0) for x0 in starts]
+            found.design,
+            level,
+            [simulate(found.design, x0) for x0 in starts],
+            found.certificate.reach,
         )
     landscape = landscape_figure(found.design, found.certificate)
     if landscape is not None:
@@ -246,7 +249,8 @@ def verdict_text(found: Findings) -> str:
 def readme_pictures() -> None:
     """The README's pictures: the pendulum as it is designed there."""
     with tempfile.TemporaryDirectory() as folder:
-        for paper, names in ((False, ("lyapunov", "region", "responses")), (True, ("sweep",))):
+        shown = ("lyapunov", "region", "landscape", "responses")
+        for paper, names in ((False, shown), (True, ("sweep",))):
             sweep = (0.1, 1.0, 10) if paper else None
             out = Path(folder) / f"design-{paper}"
             model = EXAMPLES / "pendulum.py"

@@ -277,9 +277,11 @@ def _drawn(
             "responses": responses_figure(made, responses),
         }
         if certificate.level is not None:
-            starts = region_boundary(made, certificate.level)
+            starts = region_boundary(made, certificate.level, certificate.reach)
             inside = [simulate(made, start) for start in starts]
-            figures["region"] = region_figure(made, certificate.level, inside)
+            figures["region"] = region_figure(
+                made, certificate.level, inside, certificate.reach
+            )
         landscape = landscape_figure(made, certificate)
         if landscape is not None:
             figures["landscape"] = landscape

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
 
@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from necc_casadi.arrays import Vector
+from necc_casadi.certificate.claims.regions import Side
 from necc_casadi.designs.design import Design
 from necc_casadi.files import write_text
 from necc_casadi.report.findings import SweepPoint
@@ -34,6 +35,10 @@ _INK, _TARGET, _MINIMUM, _UNSETTLED = "#1f4e79", "#d9730d", "#2e7d32", "#a8324a"
 
 
 _MOST_PANELS = 10
+
+
+#: Room around the reach of Ω, as a share of it.
+_BESIDE = 0.15
 
 
 #: V − V(z̄) below this, in natural units, is rounding.
@@ -94,9 +99,14 @@ def _mark_minima(design: Design, axis: Axes, i: int, j: int) -> None:
     axis.set_ylabel(_label(design, j))
 
 
-def region_boundary(design: Design, level: float, count: int = 12) -> list[Vector]:
-    """Plant states on the boundary of {V ≤ level} in the plane that the figures show, ξ = ξ*."""
-    window = _window(design, level)[0]
+def region_boundary(
+    design: Design, level: float, reach: Mapping[str, Side] | None = None, count: int = 12
+) -> list[Vector]:
+    """Plant states on the boundary of {V ≤ level} in the plane that the figures show, ξ = ξ*.
+
+    `reach` is how far Ω goes; without it the domain is looked at.
+    """
+    window = _window(design, level, _telling_sides(design, reach))[0]
     path = slice_boundary(design, level, window)
     if path is None:
         return []
@@ -108,19 +118,38 @@ def region_boundary(design: Design, level: float, count: int = 12) -> list[Vecto
 
 
 @lru_cache(maxsize=4)
-def _window(design: Design, level: float) -> tuple[Window, Vector]:
-    """The part of the domain around Ω, and Ω's shadow in it."""
-    domain = domain_window(design)
-    edge = shadow(design, level, domain)
-    return domain.around(edge), edge
+def _window(
+    design: Design, level: float, sides: tuple[Side, Side] | None
+) -> tuple[Window, Vector]:
+    """A window around Ω, and Ω's shadow in it."""
+    window = domain_window(design)
+    if sides is not None:
+        lo, hi = np.array(sides).T
+        room = _BESIDE * (hi - lo)
+        window = Window(window.pair, lo - room, hi + room)
+    edge = shadow(design, level, window)
+    return window.around(edge), edge
 
 
-def region_figure(design: Design, level: float, responses: Sequence[Trajectory]) -> Figure:
+def _telling_sides(design: Design, reach: Mapping[str, Side] | None) -> tuple[Side, Side] | None:
+    """The reach of the two states that are shown."""
+    if reach is None:
+        return None
+    i, j = domain_window(design).pair
+    return reach[design.loop.states[i]], reach[design.loop.states[j]]
+
+
+def region_figure(
+    design: Design,
+    level: float,
+    responses: Sequence[Trajectory],
+    reach: Mapping[str, Side] | None = None,
+) -> Figure:
     """The proved region over V's contours: its slice at z*, its shadow, responses from the slice.
 
     Responses leave the slice because ξ moves, but not the shadow.
     """
-    window, edge = _window(design, level)
+    window, edge = _window(design, level, _telling_sides(design, reach))
     i, j = window.pair
     A, B, values = slice_values(design, window)
     figure = Figure(figsize=(6.4, 5.6), layout="constrained")

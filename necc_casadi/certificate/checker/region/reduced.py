@@ -23,8 +23,8 @@ Numbers = np.ndarray[Any, Any]
 
 #: The most that the inverse factor of F may be off, and what makes up for it.
 _SLIP, _MADE_UP = 1e-9, 1e-8
-#: Newton's steps at most, and when a step counts as none.
-_STEPS, _STILL = 40, 1e-12
+#: Newton's steps at most, and the last one: a hint that is off by ε costs ε² of w.
+_STEPS, _STILL = 40, 1e-6
 #: The room around the sheet at first, as a share of the cell's half-width; tries to widen it.
 _NEAR, _TRIES = 0.2, 4
 

@@ -30,7 +30,7 @@ _SPLITS = 3
 _NEAR_ENOUGH = 0.95
 #: How often the box of the search may grow, and by which share of its sides.
 _GROWTHS, _WIDER = 8, 0.5
-#: How often the domain is doubled where nothing ends the component, and V is of no form by which the
+#: How often the domain is doubled where nothing ends the component, and V has no form by which the
 #: whole space could be proved.
 _DOUBLINGS = 4
 #: The part of the way to the obstacle in which the component must stay off the box's border.
