@@ -82,14 +82,20 @@ def run_design(request: Request, say: Say) -> Findings:
     model = load_model(request.model, read_parameters(request.param))
     options = read_options(request, model)
     x_star = read_target(model, request.target)
-    check_model_at(model.loop, x_star)
+    sampled = check_model_at(model.loop, x_star)
     if request.structure is not None:
         model = with_structure(model, request.structure, x_star)
     say("finding Casimirs")
     casimirs = find_casimirs(model.loop, model.casimirs, x_star)
     say("judging the target")
     verdict = judge(model.loop, casimirs, x_star)
-    found = Findings(model.loop, x_star, casimirs, verdict, notes=model_notes(model, casimirs))
+    found = Findings(
+        model.loop,
+        x_star,
+        casimirs,
+        verdict,
+        notes=[*sampled, *model_notes(model, casimirs, x_star)],
+    )
     if verdict.reason == "not_an_equilibrium":
         found.notes += nearest_note(model, x_star)
     if request.structure is None and not (verdict.assignable and verdict.stability == "asymptotic"):
