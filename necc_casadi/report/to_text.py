@@ -137,6 +137,8 @@ def _sizes(design: Design) -> str:
 
 def _casimirs(casimirs: Casimirs) -> str:
     listed = "; ".join(to_text(c) for c in casimirs.functions) or "none"
+    if casimirs.undecided is not None:
+        return f"{listed}   (not sought)"
     return (
         f"{listed}   ({len(casimirs.functions)} found of {casimirs.generic_count} that exist; "
         f"kernel rank {casimirs.kernel_rank})"

@@ -11,6 +11,7 @@ from flint import arb_mat
 from necc_casadi.certificate.checker.arithmetic.balls import Box, ball, by_bisection, evaluate
 from necc_casadi.certificate.checker.arithmetic.definite import positive
 from necc_casadi.certificate.checker.arithmetic.hessian_floor import curvature_above, hessian_floor
+from necc_casadi.certificate.checker.arithmetic.smooth import is_smooth_everywhere
 from necc_casadi.certificate.checker.evidence import Checked, Evidence
 from necc_casadi.certificate.checker.invariant_sets import largest_invariant_set_is_critical
 from necc_casadi.certificate.checker.momenta import are_momenta
@@ -43,6 +44,10 @@ def check_global(evidence: Evidence, sound: bool) -> Checked:
             ("z̄ attracts", lambda: sound),
             ("the claim is held", lambda: evidence.claimed("global")),
             ("the loop is of constant structure", lambda: not varying()),
+            (
+                "everything is smooth for all states",
+                lambda: is_smooth_everywhere(model.written, model.z),
+            ),
             ("Φ is the sum H + Hc + K(c)", lambda: form["phi"] is None and not form["betas"]),
         ],
     )

@@ -23,6 +23,7 @@ from necc_casadi.certificate.prover.arithmetic.hessian_floor import (
     scalar_hessian_floor,
 )
 from necc_casadi.certificate.prover.arithmetic.intervals import Interval, matmul, point
+from necc_casadi.certificate.prover.arithmetic.smooth import is_smooth_everywhere, written
 from necc_casadi.certificate.prover.invariant_sets import largest_invariant_set_is_critical
 from necc_casadi.designs.design import Design
 from necc_casadi.lyapunov.networks import Network
@@ -82,6 +83,8 @@ def _beyond_scope(design: Design, resting: Sequence[int], slopes: sp.Matrix) -> 
     loop, form = design.loop, design.form
     if form.phi is not None or form.betas:
         return "only Φ = H + Hc + C with C = K(c) is covered"
+    if not is_smooth_everywhere(written(design), loop.z):
+        return "energy, structure and Casimirs are not proved to be smooth for all states"
     varying = loop.M.free_symbols | loop.ports.free_symbols
     if varying or not largest_invariant_set_is_critical(design, resting):
         return "the invariant sets are not proved to be the critical points of V"

@@ -84,7 +84,7 @@ def check_region(evidence: Evidence, proof: RegionProof | None, sound: bool) -> 
             ("V(z̄) < c", lambda: bool(bottom < region.level)),
             *_momenta_stay(evidence.model, region, bottom),
             *proof.obligations(sizes, share),
-            ("the loop has no pole there", lambda: loop_is_defined(evidence.model, surroundings())),
+            ("everything is smooth there", lambda: loop_is_defined(evidence.model, surroundings())),
             ("it ends where it is said to", lambda: _stops(evidence.model, proof, limit, bottom)),
             _solutions(evidence, region, follows, surroundings),
         ],
