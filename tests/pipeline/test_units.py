@@ -80,9 +80,7 @@ POWERS = st.integers(-30, 30).map(lambda k: sp.Integer(2) ** k)
 
 
 @given(factors=st.lists(POWERS, min_size=4, max_size=4), time=POWERS, energy=POWERS)
-@settings(
-    max_examples=4, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
-)
+@settings(max_examples=4, deadline=None)
 def test_powers_of_two_change_no_bit_of_what_has_no_dimension(plant, factors, time, energy):
     model, x_star, region, (made, plain) = plant
     change = change_of(model, factors, time, energy)
