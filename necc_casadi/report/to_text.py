@@ -44,7 +44,7 @@ _OPTIONAL_CLAIMS = ("global", "input_limits")
 _MANY = 12
 
 
-#: Coordinates of z̄ smaller than this are shown as 0.
+#: Coordinates of z̄ smaller than this share of their size are shown as 0.
 _NOTHING = 1e-20
 
 
@@ -169,7 +169,8 @@ def _design_rows(
     bounds = (
         f"ε/(a − ε) = {paper:.2g}" if paper is not None else "ε/(a − ε) is no bound (ε ≥ a)"
     ) + (f", proved ≤ {rigorous:.2g}" if rigorous is not None else ", no proved bound")
-    z_bar = ", ".join(f"{v:.6g}" if abs(v) > _NOTHING else "0" for v in design.z_bar[:_MANY])
+    shown = zip(design.z_bar[:_MANY], _NOTHING * design.sizes.state, strict=False)
+    z_bar = ", ".join(f"{v:.6g}" if abs(v) > nothing else "0" for v, nothing in shown)
     z_bar += ", …" if len(design.z_bar) > _MANY else ""
     return [
         (
