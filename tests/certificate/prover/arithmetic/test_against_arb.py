@@ -137,7 +137,7 @@ SLOPES = {
 def test_slopes_of_jets_enclose_arb(name, box):
     lo, hi, inside = box
     with np.errstate(all="ignore"):
-        enclosures = jets._SLOPES[FUNCTIONS[name]](Interval(np.array(lo), np.array(hi)))
+        enclosures = jets._SLOPES[name](Interval(np.array(lo), np.array(hi)))
     for enclosure, compute in zip(enclosures[1:], SLOPES[name], strict=True):
         exact = exactly(compute, inside)
         low, high = float(enclosure.lo), float(enclosure.hi)
