@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from necc_casadi.casimirs.casimirs import Casimirs
 from necc_casadi.certificate.checker.check import check
 from necc_casadi.certificate.claims import statements
+from necc_casadi.certificate.claims.certificate import Certificate
 from necc_casadi.certificate.claims.fields import read_as
 from necc_casadi.certificate.claims.regions import LimitedBy, read_region
 from necc_casadi.certificate.prover.certify import certify
@@ -239,7 +240,7 @@ def test_a_limit_of_no_known_kind_is_unreadable(folder, tmp_path):
 def at_odds(data):
     """Fields that no longer agree with the claims, or with each other."""
     yield data | {"format": 2}
-    yield data | {"format": 4}
+    yield data | {"format": data["format"] + 1}
     yield data | {"is_global": not data["is_global"]}
     yield data | {"stability": "stable" if data["stability"] == "asymptotic" else "asymptotic"}
     yield data | {"domain_share": data["domain_share"] / 2}
@@ -272,9 +273,11 @@ def test_another_limit_is_rejected_even_where_the_words_fit_it(folder, rejected)
     states = json.loads((folder / "design.json").read_text(encoding="utf-8"))["model"]
     names = states["states"] + states["controller_states"]
     follows = claim(data, "region")["data"]["follows"]
+    units = Certificate.from_json(json.dumps(data)).units
     for other in other_limits(region):
         altered = copy.deepcopy(data)
-        reason = statements.limited_by(read_as(LimitedBy, other), names, read_region(region))
+        limit, claimed = read_as(LimitedBy, other), read_region(region)
+        reason = statements.limited_by(limit, names, claimed, units)
         altered["limited_by"] = reason
         claim(altered, "region")["data"]["limit"] = other
         claim(altered, "region")["statement"] = statements.region(
