@@ -26,6 +26,7 @@ class Casimirs:
     generic_count: int  # how many exist (docs/theory.md#count-of-casimirs)
     origins: tuple[str, ...] = ()  # (r,) how each was found
     count_proved: bool = True  # that no more than `generic_count` exist
+    undecided: str | None = None  # an expression that is not known to be zero or not
 
     @property
     def complete(self) -> bool:
@@ -35,6 +36,8 @@ class Casimirs:
     @property
     def note(self) -> str | None:
         """What is missing and how to supply it; None where nothing is."""
+        if self.undecided is not None:
+            return f"Casimirs were not sought: no proof was found whether {self.undecided} is zero"
         missing = self.generic_count - len(self.functions)
         if missing <= 0:
             return None

@@ -18,8 +18,9 @@ from necc_casadi.casimirs.involution import count_casimirs
 from necc_casadi.errors import ModelError
 from necc_casadi.model.closed_loop import ClosedLoop
 from necc_casadi.model.entries import scalar_entry
+from necc_casadi.model.piece import LoopPiece, loop_piece
 from necc_casadi.symbolic.linear_algebra import generic_rank, kernel
-from necc_casadi.symbolic.zero import is_zero
+from necc_casadi.symbolic.zero import Undecided, is_zero
 
 __all__ = ["find_casimirs"]
 
@@ -61,13 +62,26 @@ def find_casimirs(
     >>> find_casimirs(load_model("pendulum.py").loop).functions
     (q - xi1,)
     """
-    M = loop.M
     given = [_proved(loop, c, i) for i, c in enumerate(supplied)]
-    kernel_rank = loop.n - generic_rank(sp.Matrix(M))
-    if not M.free_symbols:
+    around = loop_piece(loop, dict(target or {}))
+    try:
+        return _found(around, given, dict(target or {}))
+    except Undecided as unknown:  # a pivot of the kernel: no count, no closed form but those given
+        functions = tuple(f for k, f in enumerate(given) if independent(given[:k], f, loop.z))
+        most, origins = loop.n, ("supplied",) * len(functions)
+        return Casimirs(functions, most, most, origins, False, str(unknown))
+
+
+def _found(
+    around: LoopPiece, given: Sequence[sp.Expr], target: Mapping[sp.Symbol, sp.Expr]
+) -> Casimirs:
+    """What is found on the analytic piece around the target."""
+    loop = around.loop
+    kernel_rank = loop.n - generic_rank(sp.Matrix(loop.M))
+    if not loop.M.free_symbols:
         return _constant(loop, kernel_rank)
-    search = CasimirSearch(loop, kernel_rank, dict(target or {}))
-    return _counted(loop, search, given, kernel_rank)
+    search = CasimirSearch(loop, kernel_rank, target)
+    return _counted(around, search, given, kernel_rank)
 
 
 def _constant(loop: ClosedLoop, kernel_rank: int) -> Casimirs:
@@ -86,22 +100,24 @@ def linear_form(v: sp.MatrixBase, z: Sequence[sp.Symbol]) -> sp.Expr:
 
 
 def _counted(
-    loop: ClosedLoop, search: CasimirSearch, given: Sequence[sp.Expr], kernel_rank: int
+    around: LoopPiece, search: CasimirSearch, given: Sequence[sp.Expr], kernel_rank: int
 ) -> Casimirs:
     """Constant sub-kernel and supplied ones, then the count, then closed forms up to the count."""
+    loop = around.loop
     forms: list[ClosedForm] = []
     find_closed_forms(search, forms, kernel_rank, "constant")
     for c in given:
         if independent([form.function for form in forms], c, loop.z):
             forms.append(ClosedForm(c, "supplied"))
     find_closed_forms(search, forms, kernel_rank, "quick")
-    count, proved = count_casimirs(sp.Matrix(loop.M), loop.z, len(forms))
+    count, proved = count_casimirs(sp.Matrix(loop.M), loop.z, len(forms), around.box)
     if len(forms) < count:
         find_closed_forms(search, forms, count)
     functions = tuple(
         form.function if form.function in given else _shortened(form.function) for form in forms
     )
-    return Casimirs(functions, kernel_rank, count, tuple(form.origin for form in forms), proved)
+    origins = tuple(form.origin for form in forms)
+    return Casimirs(functions, kernel_rank, count, origins, proved and around.joined)
 
 
 def _shortened(c: sp.Expr) -> sp.Expr:

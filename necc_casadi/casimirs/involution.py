@@ -19,6 +19,7 @@ import sympy as sp
 from necc_casadi.symbolic.arb import real_rank
 from necc_casadi.symbolic.finite_field import NoFiniteFieldValue, values
 from necc_casadi.symbolic.modular import pivots, rank
+from necc_casadi.symbolic.pieces import Box
 
 __all__ = ["closure", "count_casimirs"]
 
@@ -32,7 +33,9 @@ _POINTS = 2
 _MOST_BRACKETS = 4000
 
 
-def count_casimirs(M: sp.Matrix, z: Sequence[sp.Symbol], known: int) -> tuple[int, bool]:
+def count_casimirs(
+    M: sp.Matrix, z: Sequence[sp.Symbol], known: int, box: Box | None = None
+) -> tuple[int, bool]:
     """(number of Casimirs, whether it is proved that there are no more).
 
     Parameters
@@ -41,10 +44,12 @@ def count_casimirs(M: sp.Matrix, z: Sequence[sp.Symbol], known: int) -> tuple[in
         Jcl − Rcl.
     known
         Number of independent Casimirs in hand: the search for brackets stops there.
+    box
+        Where the rank is to be proved: the analytic piece of interest; None: at any real point.
     """
     fields, complete = closure(M, z, len(z) - known)
     table = sp.Matrix([list(f) for f in fields]) if fields else sp.zeros(0, len(z))
-    proved = real_rank(table, z, len(fields)) if fields else True
+    proved = real_rank(table, z, len(fields), box=box) if fields else True
     return len(z) - len(fields), proved and complete
 
 

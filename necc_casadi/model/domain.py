@@ -10,8 +10,9 @@ import sympy as sp
 from necc_casadi.arrays import Vector
 from necc_casadi.model.closed_loop import ClosedLoop
 from necc_casadi.model.sizes import REACH, natural_sizes
+from necc_casadi.symbolic.pieces import Box, piece_around
 
-__all__ = ["Domain", "domain_of", "exact_bounds"]
+__all__ = ["Domain", "domain_of", "exact_bounds", "sampling_box"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,3 +51,25 @@ def exact_bounds(
         around = (middle - half, middle + half)
         box[symbol] = loop.plant.domain.get(str(symbol), around)
     return box
+
+
+def sampling_box(
+    loop: ClosedLoop,
+    expressions: Sequence[sp.Expr],
+    target: Mapping[sp.Symbol, sp.Expr],
+    reach: int = 1,
+) -> tuple[Box, tuple[str, ...]]:
+    """Where expressions are sampled, and what made that smaller than it was meant to be.
+
+    The user's own bounds stay. Others are `reach` times as wide as :func:`exact_bounds`, and
+    shrink towards the target until no pole and no branch point of the expressions is inside.
+    """
+    box = exact_bounds(loop, target)
+    guessed = {s: v for s, v in target.items() if str(s) not in loop.plant.domain}
+    named = {s: (lo + hi) / 2 for s, (lo, hi) in box.items() if s not in guessed}
+    widths = {s: (hi - lo) / 2 * (reach if s in guessed else 1) for s, (lo, hi) in box.items()}
+    piece = piece_around(expressions, {**named, **guessed}, widths)
+    if piece is None:
+        return box, ()
+    limits = tuple(str(limit) for limit in piece.limits if limit.part.free_symbols & guessed.keys())
+    return {**box, **{s: piece.box[s] for s in guessed}}, limits

@@ -6,15 +6,15 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
-import numpy as np
 import sympy as sp
 
 from necc_casadi.errors import ModelError
+from necc_casadi.symbolic.definiteness import definiteness
 from necc_casadi.symbolic.expressions import FUNCTIONS, exact, is_finite, non_smooth_part
 from necc_casadi.symbolic.floats import to_float
 from necc_casadi.symbolic.linear_algebra import generic_rank
 from necc_casadi.symbolic.semidefinite import is_positive_semidefinite
-from necc_casadi.symbolic.zero import is_zero, sign
+from necc_casadi.symbolic.zero import Undecided, is_zero, sign
 
 __all__ = [
     "Property",
@@ -216,7 +216,10 @@ def _decide_psd(R: sp.MatrixBase, label: str, code_symmetric: str, code_psd: str
 def _decide_rank(G: sp.MatrixBase, label: str, code: str) -> Property:
     """Decide that G has full rank (min of its sides) at generic points."""
     full = min(G.shape)
-    rank = generic_rank(sp.Matrix(G))
+    try:
+        rank = generic_rank(sp.Matrix(G))
+    except Undecided:
+        return Property("rank", label, False, full)
     if rank < full:
         raise ModelError(
             code,
@@ -227,7 +230,7 @@ def _decide_rank(G: sp.MatrixBase, label: str, code: str) -> Property:
 
 
 def not_psd(R: sp.MatrixBase, label: str, point: Mapping[sp.Symbol, sp.Expr]) -> tuple[str, str]:
-    """Fault and remedy for a matrix that is not ⪰ 0, with a witness entry or eigenvalue."""
+    """Fault and remedy for a matrix that is not ⪰ 0, with a witness entry or direction."""
     where = f" at {shown_point(point)}" if point else ""
     remedy = f"Every quadratic form of {label} must be nonnegative: dissipation takes energy out."
     for i in range(R.rows):
@@ -241,9 +244,14 @@ def not_psd(R: sp.MatrixBase, label: str, point: Mapping[sp.Symbol, sp.Expr]) ->
     there = sp.Matrix(R.subs(point))
     if there.free_symbols:
         return f"{label} must be positive semidefinite: a diagonal entry is negative", remedy
-    lowest = np.linalg.eigvalsh(np.array(there.evalf(), dtype=float))[0]
+    _, w = definiteness(there)
+    if w is None:
+        return f"{label} must be positive semidefinite{where}", remedy
+    least = (w.T * there * w)[0] / (w.T * w)[0]
+    along = ", ".join(f"{float(sp.N(e)):.4g}" for e in w)
     return (
-        f"{label} must be positive semidefinite: its least eigenvalue is {lowest:.3g}{where}",
+        f"{label} must be positive semidefinite: wᵀ{label}w/wᵀw = {float(sp.N(least)):.4g} for "
+        f"w = ({along}){where}",
         remedy,
     )
 

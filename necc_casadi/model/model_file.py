@@ -24,6 +24,7 @@ from necc_casadi.model.controller import Controller, default_controller, make_co
 from necc_casadi.model.plant import Plant, make_plant
 from necc_casadi.model.sizes import input_names
 from necc_casadi.symbolic.expressions import exact, parse_number
+from necc_casadi.symbolic.zero import sign
 
 __all__ = ["Model", "damping_matrix", "load_model"]
 
@@ -274,13 +275,25 @@ def _parameters(
             )
         if name in overrides:
             value = parse_number(overrides[name], f"--param {name}", "param", ModelError)
-        number = exact(sp.sympify(value))
-        if not number.is_number or number.is_real is not True:
-            raise ModelError(
-                "param", f"params[{name}] = {number} is not a real number", "Give it a number."
-            )
-        values[name] = number
+        values[name] = _parameter(name, value)
     return values
+
+
+def _parameter(name: str, value: Any) -> sp.Expr:
+    """A parameter's exact value; one that is proved to be zero is 0."""
+    try:
+        number = exact(sp.sympify(value))
+    except (sp.SympifyError, TypeError, ValueError, AttributeError):
+        raise ModelError(
+            "param",
+            f"params[{name}] = {value!r} is not a number",
+            f"Give it one: params = {{{name}: 1}}, or --param {name}=1.",
+        ) from None
+    if not number.is_number or number.is_real is not True:
+        raise ModelError(
+            "param", f"params[{name}] = {number} is not a real number", "Give it a number."
+        )
+    return sp.Integer(0) if sign(number) == 0 else number
 
 
 def _controller(plant: Plant, file: _Reader) -> Controller:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import sympy as sp
@@ -13,6 +13,8 @@ from necc_casadi.errors import TargetError
 from necc_casadi.model.plant import Plant
 from necc_casadi.symbolic.expressions import parse_number
 from necc_casadi.symbolic.floats import to_floats
+from necc_casadi.symbolic.linear_algebra import kernel
+from necc_casadi.symbolic.zero import Undecided, is_zero
 
 __all__ = [
     "free_coordinates",
@@ -21,6 +23,12 @@ __all__ = [
     "solve_target",
     "target_from_model",
 ]
+
+
+#: Relative to the largest singular value of an equilibrated matrix; what is smaller counts as 0.
+_RELATIVE = 1e-9
+
+_CONVERGED, _NEWTON_STEPS, _SCALINGS = 1e-12, 60, 8
 
 
 def parse_target(plant: Plant, text: str) -> dict[sp.Symbol, sp.Expr]:
@@ -153,24 +161,67 @@ def free_coordinates(plant: Plant) -> tuple[list[sp.Symbol], int]:
     Read off the kernel of the equilibrium equations' Jacobian at equilibria found from several
     starts; it interprets bare values only, every target is checked exactly afterwards.
     """
+    written = sp.Matrix(_equilibrium_equations(plant))
+    symbolic = written.jacobian(plant.x) if written else sp.zeros(0, plant.n)
+    if symbolic.is_zero_matrix or all(entry.is_Rational for entry in symbolic):
+        null = kernel(symbolic)
+        along = [s for i, s in enumerate(plant.x) if any(null[i, j] != 0 for j in range(null.cols))]
+        return along, null.cols
     varies, dimension = np.zeros(plant.n, bool), 0
     equations = _equations(plant)
     for seed in range(4):
         point = _project(equations, np.random.default_rng(seed).uniform(-1, 1, plant.n))
         if point is None:
             continue
-        null = _null_space(equations.jacobian(point))
-        dimension = max(dimension, null.shape[1])
-        varies |= np.linalg.norm(null, axis=1) > 1e-7
+        null_space = _null_space(equations.jacobian(point))
+        dimension = max(dimension, null_space.shape[1])
+        varies |= np.linalg.norm(null_space, axis=1) > _RELATIVE
     return [s for s, v in zip(plant.x, varies, strict=True) if v], dimension
 
 
+def _equilibrium_equations(plant: Plant) -> tuple[sp.Expr, ...]:
+    """Those of the plant; constants of G that may or may not be 0 are taken not to be.
+
+    The verdict on the target looks at G as it is.
+    """
+    try:
+        return plant.equilibrium_equations
+    except Undecided:
+        unknown = [e for e in plant.G if e.is_number and is_zero(e) is None]
+        acting = plant.G.xreplace(dict.fromkeys(unknown, sp.Integer(1)))
+    try:
+        return replace(plant, G=acting).equilibrium_equations
+    except Undecided:
+        return ()
+
+
 def _null_space(matrix: Vector) -> Vector:
+    """A basis of the null space, in coordinates in which every row and column has size 1."""
     if matrix.shape[0] == 0:
         return np.eye(matrix.shape[1])
-    _, values, right = np.linalg.svd(matrix)
-    rank = int(np.sum(values > 1e-9 * max(1.0, values[0])))
-    return right[rank:].T
+    _, values, right = np.linalg.svd(_equilibrated(matrix)[0])
+    rank = int(np.sum(values > _RELATIVE * values[0])) if values[0] > 0 else 0
+    null: Vector = right[rank:].T
+    return null
+
+
+def _equilibrated(matrix: Vector) -> tuple[Vector, Vector, Vector]:
+    """(r·A·c, r, c): rows and columns scaled until each has a largest entry of about 1.
+
+    The units of states and equations cancel; which coordinates a kernel vector has does not
+    change.
+    """
+    rows, columns = np.ones(matrix.shape[0]), np.ones(matrix.shape[1])
+    for _ in range(_SCALINGS):
+        scaled = np.abs(rows[:, None] * matrix * columns)
+        rows = rows / np.sqrt(_or_one(scaled.max(1)))
+        scaled = np.abs(rows[:, None] * matrix * columns)
+        columns = columns / np.sqrt(_or_one(scaled.max(0)))
+    return rows[:, None] * matrix * columns, rows, columns
+
+
+def _or_one(sizes: Vector) -> Vector:
+    return np.where(sizes > 0, sizes, 1.0)
 
 
 @dataclass(frozen=True)
@@ -182,7 +233,7 @@ class _Equations:
 
 
 def _equations(plant: Plant) -> _Equations:
-    equations = sp.Matrix(plant.equilibrium_equations)
+    equations = sp.Matrix(_equilibrium_equations(plant))
     if not equations:
         return _Equations(lambda x: np.zeros(0), lambda x: np.zeros((0, plant.n)))
     residual = sp.lambdify([plant.x], equations, "numpy", cse=True)
@@ -196,14 +247,16 @@ def _equations(plant: Plant) -> _Equations:
 def _project(equations: _Equations, x: Vector) -> Vector | None:
     """A point of the equilibrium set near x, by Gauss–Newton; None if it does not converge."""
     with np.errstate(all="ignore"):
-        for _ in range(50):
-            r = equations.residual(x)
-            if not np.all(np.isfinite(r)):
+        for _ in range(_NEWTON_STEPS):
+            r, slopes = equations.residual(x), equations.jacobian(x)
+            if not (np.all(np.isfinite(r)) and np.all(np.isfinite(slopes))):
                 return None
-            if np.linalg.norm(r) < 1e-12:
-                return x
-            x = x - np.linalg.pinv(equations.jacobian(x), rcond=1e-10) @ r
-    return x if np.linalg.norm(equations.residual(x)) < 1e-8 else None
+            scaled, rows, columns = _equilibrated(slopes)
+            step = columns * (np.linalg.pinv(scaled, rcond=_RELATIVE) @ (rows * r))
+            x = x - step
+            if np.all(np.abs(step) <= _CONVERGED * (np.abs(x) + columns)):
+                return np.where(np.abs(x) <= _CONVERGED * columns, 0.0, x)
+    return None
 
 
 def nearest_equilibrium(plant: Plant, x_star: Mapping[sp.Symbol, sp.Expr]) -> Vector | None:
@@ -254,10 +307,10 @@ def _solutions(
     plant: Plant, given: Mapping[sp.Symbol, sp.Expr], unknown: list[sp.Symbol]
 ) -> list[dict[sp.Symbol, sp.Expr]]:
     """All real solutions; linear equations first, then sympy's solver on what remains."""
-    equations = [sp.simplify(e.subs(given)) for e in plant.equilibrium_equations]
-    equations = [e for e in equations if e != 0]
-    if any(not e.free_symbols for e in equations):
+    equations = [sp.simplify(e.subs(given)) for e in _equilibrium_equations(plant)]
+    if any(_contradicts(e) for e in equations):
         return []
+    equations = [e for e in equations if e.free_symbols]
     solved: dict[sp.Symbol, sp.Expr] = {}
     while True:  # one linear equation in one unknown at a time: most states are of this kind
         step = _linear_step(equations)
@@ -266,9 +319,9 @@ def _solutions(
         symbol, value = step
         solved = {s: v.subs(symbol, value) for s, v in solved.items()} | {symbol: value}
         equations = [sp.simplify(e.subs(symbol, value)) for e in equations]
-        equations = [e for e in equations if e != 0]
-        if any(not e.free_symbols for e in equations):
+        if any(_contradicts(e) for e in equations):
             return []
+        equations = [e for e in equations if e.free_symbols]
     rest = [s for s in unknown if s not in solved]
     if not equations:
         return [solved | {}]
@@ -284,6 +337,11 @@ def _solutions(
     return [{s: v.subs(sol) for s, v in solved.items()} | sol for sol in real]
 
 
+def _contradicts(equation: sp.Expr) -> bool:
+    """Whether an equation e = 0 is certainly violated; a constant that may be 0 says nothing."""
+    return not equation.free_symbols and is_zero(equation) is False
+
+
 def _linear_step(equations: list[sp.Expr]) -> tuple[sp.Symbol, sp.Expr] | None:
     for equation in equations:
         symbols = equation.free_symbols
@@ -293,5 +351,5 @@ def _linear_step(equations: list[sp.Expr]) -> tuple[sp.Symbol, sp.Expr] | None:
         polynomial = equation.as_poly(symbol)
         if polynomial is not None and polynomial.degree() == 1:
             a, b = polynomial.all_coeffs()
-            return symbol, sp.nsimplify(-b / a) if (b / a).is_Rational else -b / a
+            return symbol, -b / a
     return None

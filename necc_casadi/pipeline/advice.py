@@ -10,6 +10,7 @@ from necc_casadi.casimirs.casimirs import Casimirs
 from necc_casadi.certificate.claims.certificate import Certificate
 from necc_casadi.designs.design import Design
 from necc_casadi.model.model_file import Model
+from necc_casadi.model.piece import loop_piece
 from necc_casadi.model.sizes import Sizes
 from necc_casadi.model.target import nearest_equilibrium
 from necc_casadi.pipeline.request import option_word
@@ -61,14 +62,15 @@ def nearest_note(model: Model, x_star: dict[sp.Symbol, sp.Expr]) -> list[str]:
     return [f"the nearest equilibrium that was found: {values}"]
 
 
-def model_notes(model: Model, casimirs: Casimirs) -> list[str]:
-    """What of the model was not proved, and which Casimirs are missing."""
+def model_notes(model: Model, casimirs: Casimirs, x_star: Mapping[sp.Symbol, sp.Expr]) -> list[str]:
+    """What of the model was not proved, where it was looked at, and which Casimirs are missing."""
     notes = [
         f"{p.name} held at sampled points only: what rests on it is not proved"
         for p in model.loop.properties
         if not p.proved
     ]
-    return [*model.notes, *notes, *([casimirs.note] if casimirs.note else [])]
+    where = loop_piece(model.loop, x_star).note
+    return [*model.notes, *notes, *(note for note in (where, casimirs.note) if note)]
 
 
 def design_notes(made: Design, options: Options) -> list[str]:

@@ -142,14 +142,14 @@ def _judged(request: Request, say: Say) -> _Task:
     model = load_model(request.model, read_parameters(request.param))
     options = read_options(request, model)
     x_star = read_target(model, request.target)
-    check_model_at(model.loop, x_star)
+    sampled = check_model_at(model.loop, x_star)
     if request.structure is not None:
         model = with_structure(model, request.structure, x_star)
     say("finding Casimirs")
     casimirs = find_casimirs(model.loop, model.casimirs, x_star)
     say("judging the target")
     verdict = judge(model.loop, casimirs, x_star)
-    notes = model_notes(model, casimirs)
+    notes = [*sampled, *model_notes(model, casimirs, x_star)]
     if verdict.reason == "not_an_equilibrium":
         notes += nearest_note(model, x_star)
     if request.structure is None and not (verdict.assignable and verdict.stability == "asymptotic"):

@@ -94,8 +94,8 @@ def _verdict(verdict: Verdict, casimirs: Casimirs) -> dict[str, Any]:
         "a_max": verdict.a_max,
         "casimirs": [to_text(c) for c in casimirs.functions],
         "casimir_count": len(casimirs.functions),
-        "casimir_count_generic": casimirs.generic_count,
-        "kernel_rank": casimirs.kernel_rank,
+        "casimir_count_generic": None if casimirs.undecided else casimirs.generic_count,
+        "kernel_rank": None if casimirs.undecided else casimirs.kernel_rank,
         "lambda": None if verdict.lam is None else to_floats(verdict.lam).tolist(),
         "invisible": [to_floats(row).tolist() for row in verdict.invisible.tolist()],
     }

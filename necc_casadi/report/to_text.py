@@ -42,7 +42,7 @@ _OPTIONAL_CLAIMS = ("global", "input_limits")
 _MANY = 12
 
 
-#: Coordinates of z̄ smaller than this are shown as 0.
+#: Coordinates of z̄ smaller than this share of their size are shown as 0.
 _NOTHING = 1e-20
 
 
@@ -135,6 +135,8 @@ def _sizes(design: Design) -> str:
 
 def _casimirs(casimirs: Casimirs) -> str:
     listed = "; ".join(to_text(c) for c in casimirs.functions) or "none"
+    if casimirs.undecided is not None:
+        return f"{listed}   (not sought)"
     return (
         f"{listed}   ({len(casimirs.functions)} found of {casimirs.generic_count} that exist; "
         f"kernel rank {casimirs.kernel_rank})"
@@ -165,7 +167,8 @@ def _design_rows(
     bounds = (
         f"ε/(a − ε) = {paper:.2g}" if paper is not None else "ε/(a − ε) is no bound (ε ≥ a)"
     ) + (f", proved ≤ {rigorous:.2g}" if rigorous is not None else ", no proved bound")
-    z_bar = ", ".join(f"{v:.6g}" if abs(v) > _NOTHING else "0" for v in design.z_bar[:_MANY])
+    shown = zip(design.z_bar[:_MANY], _NOTHING * design.sizes.state, strict=False)
+    z_bar = ", ".join(f"{v:.6g}" if abs(v) > nothing else "0" for v, nothing in shown)
     z_bar += ", …" if len(design.z_bar) > _MANY else ""
     return [
         (

@@ -13,10 +13,10 @@ import numpy as np
 import sympy as sp
 
 from necc_casadi.arrays import Vector
-from necc_casadi.symbolic.arb import ball
+from necc_casadi.symbolic.arb import ball, certain_sign
 from necc_casadi.symbolic.floats import float_matrix
-from necc_casadi.symbolic.linear_algebra import kernel
-from necc_casadi.symbolic.semidefinite import blocks, is_positive_semidefinite
+from necc_casadi.symbolic.linear_algebra import tidy
+from necc_casadi.symbolic.semidefinite import blocks
 from necc_casadi.symbolic.zero import sign
 
 __all__ = ["UNDECIDED", "Definiteness", "definiteness", "rational"]
@@ -25,11 +25,11 @@ __all__ = ["UNDECIDED", "Definiteness", "definiteness", "rational"]
 UNDECIDED: Final = "undecided"
 
 
+_BITS = 256
+
+
 #: ``positive`` (definite), ``flat`` (⪰ 0 and singular), ``negative`` (indefinite or worse).
 Definiteness = Literal["positive", "flat", "negative", "undecided"]
-
-
-_CLOSE = 1e-9  # an eigenvalue this small beside the largest may be zero
 
 
 _WORST_FIRST: tuple[Definiteness, ...] = ("negative", UNDECIDED, "flat", "positive")
@@ -61,18 +61,62 @@ def _block_definiteness(block: sp.Matrix) -> tuple[Definiteness, sp.Matrix | Non
             return "negative", sp.Matrix([int(k == i) for k in range(block.rows)])
     if _balls_positive(block):
         return "positive", None
+    proposed = _proposed_negative(block)
+    return _eliminated(block) if proposed is None else ("negative", proposed)
+
+
+def _eliminated(block: sp.Matrix) -> tuple[Definiteness, sp.Matrix | None]:
+    """Symmetric elimination with exact signs: Q = L D Lᵀ, and the direction of the worst pivot.
+
+    `basis` holds, as columns, the vectors in which the part of Q that remains is written.
+    """
+    remaining, basis = sp.Matrix(block), sp.eye(block.rows)
+    while remaining.rows:
+        signs = [sign(remaining[i, i]) for i in range(remaining.rows)]
+        if -1 in signs:
+            return "negative", basis[:, signs.index(-1)]
+        if None in signs:
+            return UNDECIDED, None
+        if 1 not in signs:
+            return _of_zero_diagonal(remaining, basis)
+        k = signs.index(1)
+        rest = [i for i in range(remaining.rows) if i != k]
+        row = remaining.extract([k], rest) / remaining[k, k]
+        schur = remaining.extract(rest, rest) - row.T * remaining.extract([k], rest)
+        basis = basis.extract(list(range(block.rows)), rest) - basis[:, k] * row
+        remaining = schur.applyfunc(tidy)
+    return "positive", None
+
+
+def _of_zero_diagonal(
+    remaining: sp.Matrix, basis: sp.Matrix
+) -> tuple[Definiteness, sp.Matrix | None]:
+    """0 with 0 around it is flat; with b ≠ 0 beside it, (1, ∓1) has the curvature ∓2b."""
+    zeros = True
+    for i in range(remaining.rows):
+        for j in range(i):
+            kind = sign(remaining[i, j])
+            if kind in (1, -1):
+                return "negative", basis[:, i] - kind * basis[:, j]
+            zeros = zeros and kind == 0
+    return ("flat", basis[:, 0]) if zeros else (UNDECIDED, None)
+
+
+def _proposed_negative(block: sp.Matrix) -> sp.Matrix | None:
+    """A vector along which balls find the block negative; floating point proposes it."""
     numeric = float_matrix(block)
     if not np.all(np.isfinite(numeric)):
-        return UNDECIDED, None
-    eigenvalues, vectors = np.linalg.eigh(numeric)
-    close = _CLOSE * float(np.abs(eigenvalues).max())
-    if eigenvalues[0] < -close:
-        vector = _rational_vector(vectors[:, 0])
-        if sign((vector.T * block * vector)[0]) == -1:
-            return "negative", vector
-    if eigenvalues[0] <= close:
-        return _semidefinite(block)
-    return UNDECIDED, None
+        return None
+    # by congruence with powers of two: units of the coordinates do not matter
+    size = np.sqrt(np.abs(np.diag(numeric)))
+    scale = np.exp2(-np.round(np.log2(np.where(size > 0, size, 1.0))))
+    vector = scale * np.linalg.eigh(scale[:, None] * numeric * scale)[1][:, 0]
+    exact = sp.Matrix([sp.Rational(float(v)) for v in vector / np.abs(vector).max()])
+    simple = _rational_vector(vector)
+    for candidate in (simple, exact):
+        if certain_sign((candidate.T * block * candidate)[0], _BITS) == -1:
+            return candidate
+    return None
 
 
 def _rational_vector(vector: Vector) -> sp.Matrix:
@@ -89,8 +133,7 @@ def rational(value: float, denominator: int) -> sp.Rational:
 
 def _balls_positive(block: sp.Matrix) -> bool:
     """Whether an Arb LDLᵀ has certainly positive pivots."""
-    previous, flint.ctx.prec = flint.ctx.prec, 256
-    try:
+    with flint.ctx.workprec(_BITS):
         known: dict[sp.Expr, flint.arb] = {}
         rows = [[ball(e, known) for e in row] for row in block.tolist()]
         for i in range(len(rows)):
@@ -101,15 +144,4 @@ def _balls_positive(block: sp.Matrix) -> bool:
                     factor = rows[j][i] / rows[i][i]
                     for k in range(i, len(rows)):
                         rows[j][k] = rows[j][k] - factor * rows[i][k]
-    finally:
-        flint.ctx.prec = previous
     return True
-
-
-def _semidefinite(block: sp.Matrix) -> tuple[Definiteness, sp.Matrix | None]:
-    """Exact symmetric elimination of a block whose least eigenvalue is close to zero."""
-    null = kernel(block)
-    if null.cols == 0:
-        return UNDECIDED, None
-    verdict = is_positive_semidefinite(block)
-    return ("flat", null[:, 0]) if verdict is True else (UNDECIDED, None)

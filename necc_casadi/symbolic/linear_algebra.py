@@ -9,10 +9,9 @@ import sympy as sp
 from sympy.polys.matrices import DomainMatrix
 
 from necc_casadi.symbolic.arb import real_rank
-from necc_casadi.symbolic.expressions import is_finite
 from necc_casadi.symbolic.finite_field import NoFiniteFieldValue, values
 from necc_casadi.symbolic.modular import nullspace, rank
-from necc_casadi.symbolic.zero import DIGITS, PROBES, is_small, is_zero, random_point, sign
+from necc_casadi.symbolic.zero import PROBES, Undecided, is_zero, sign
 
 __all__ = ["constant_kernel", "generic_rank", "has_rank", "kernel", "reduced_rows", "tidy"]
 
@@ -25,7 +24,12 @@ def generic_rank(matrix: sp.Matrix, tries: int = PROBES) -> int:
 
     Exact for constant matrices. For others it is the rank over a finite field at random values
     of the functions that occur, a lower bound that is missed with probability below 1e-6; where
-    that cannot be evaluated, the rank to 40 digits at random rational points.
+    that cannot be evaluated, the rank that Arb balls prove at random real points.
+
+    Raises
+    ------
+    Undecided
+        Where a pivot of a constant matrix is not told from zero.
     """
     if 0 in matrix.shape:
         return 0
@@ -34,8 +38,14 @@ def generic_rank(matrix: sp.Matrix, tries: int = PROBES) -> int:
     try:
         table = values(list(matrix), tries)
     except NoFiniteFieldValue:
-        return _sampled_rank(matrix, tries)
+        return _real_rank(matrix)
     return max(rank(row.reshape(matrix.shape)) for row in table)
+
+
+def _real_rank(matrix: sp.Matrix) -> int:
+    """The largest rank that balls prove at real points."""
+    ranks = range(min(matrix.shape), 0, -1)
+    return next((r for r in ranks if real_rank(matrix, matrix.free_symbols, r)), 0)
 
 
 def has_rank(matrix: sp.Matrix, wanted: int) -> bool:
@@ -43,20 +53,16 @@ def has_rank(matrix: sp.Matrix, wanted: int) -> bool:
     return real_rank(matrix, (), wanted, tries=1)
 
 
-def _sampled_rank(matrix: sp.Matrix, tries: int) -> int:
-    best = 0
-    for seed in range(tries):
-        value = matrix.subs(random_point(matrix.free_symbols, seed))
-        if is_finite(value):
-            best = max(best, int(value.evalf(DIGITS).rank(iszerofunc=is_small)))
-    return best
-
-
 def kernel(matrix: sp.Matrix) -> sp.Matrix:
     """Basis of {v : matrix·v = 0} as columns, over the field that the entries generate.
 
     The reduced-echelon basis of the kernel itself; where a vector is rational it is scaled to
     primitive integers, first nonzero coefficient positive.
+
+    Raises
+    ------
+    Undecided
+        As :func:`reduced_rows`.
     """
     columns = matrix.cols
     if matrix.rows == 0:
@@ -111,8 +117,13 @@ def constant_kernel(matrix: sp.Matrix) -> sp.Matrix:
 def reduced_rows(matrix: sp.Matrix) -> tuple[sp.Matrix, list[int]]:
     """Nonzero rows of the reduced row-echelon form and its pivot columns.
 
-    Identities such as sin² + cos² = 1 are respected: every pivot is proved or measured to be
-    different from zero, and what counts as zero is zero.
+    Identities such as sin² + cos² = 1 are respected: every pivot is proved to be different from
+    zero, and what counts as zero is proved to be zero.
+
+    Raises
+    ------
+    Undecided
+        Where no entry of a column is proved to be a pivot, and not all are proved to be zero.
     """
     if all(entry.is_Rational for entry in matrix):
         reduced, pivots = DomainMatrix.from_Matrix(matrix).to_field().rref()
@@ -123,10 +134,9 @@ def reduced_rows(matrix: sp.Matrix) -> tuple[sp.Matrix, list[int]]:
         rows[done:] = [
             [*row[:column], tidy(row[column]), *row[column + 1 :]] for row in rows[done:]
         ]
-        candidates = [i for i in range(done, len(rows)) if is_zero(rows[i][column]) is not True]
-        if not candidates:
+        best = _pivot(rows, done, column)
+        if best is None:
             continue
-        best = min(candidates, key=lambda i: (rows[i][column].count_ops(), i))
         rows[done], rows[best] = rows[best], rows[done]
         pivot = rows[done][column]
         rows[done] = [tidy(entry / pivot) for entry in rows[done]]
@@ -137,6 +147,20 @@ def reduced_rows(matrix: sp.Matrix) -> tuple[sp.Matrix, list[int]]:
         leading.append(column)
         done += 1
     return sp.Matrix(done, matrix.cols, [e for row in rows[:done] for e in row]), leading
+
+
+def _pivot(rows: Sequence[Sequence[sp.Expr]], done: int, column: int) -> int | None:
+    """The simplest row from `done` on with a proved nonzero in a column; None: all are zero."""
+    unknown = None
+    candidates = [i for i in range(done, len(rows)) if rows[i][column] != 0]
+    for i in sorted(candidates, key=lambda i: (rows[i][column].count_ops(), i)):
+        zero = is_zero(rows[i][column])
+        if zero is False:
+            return i
+        unknown = i if zero is None and unknown is None else unknown
+    if unknown is not None:
+        raise Undecided(rows[unknown][column])
+    return None
 
 
 def tidy(expr: sp.Expr) -> sp.Expr:

@@ -74,8 +74,8 @@ def _sign_everywhere(expr: sp.Expr) -> str:
     """``+`` positive, ``0`` zero, ``>`` nonnegative, ``-`` negative, ``?`` unknown."""
     if not expr.free_symbols:
         return {1: "+", 0: "0", -1: "-", None: "?"}[sign(expr)]
-    simplified = sp.factor(expr)
-    for candidate in (expr, simplified):
+    for tidied in (_as_it_is, _factored):  # factoring only where it is needed
+        candidate = tidied(expr)
         if candidate.is_positive:
             return "+"
         if candidate.is_negative:
@@ -83,6 +83,19 @@ def _sign_everywhere(expr: sp.Expr) -> str:
         if candidate.is_nonnegative:
             return ">"
     return "0" if is_zero(expr) else "?"
+
+
+def _as_it_is(expr: sp.Expr) -> sp.Expr:
+    return expr
+
+
+def _factored(expr: sp.Expr) -> sp.Expr:
+    """Factors of the same sign; exponentials as positive symbols.
+
+    A factorisation takes exp(2000001 q²/7) as the power of one symbol, with all lower powers.
+    """
+    positive = {e: sp.Dummy(positive=True) for e in expr.atoms(sp.exp)}
+    return sp.factor(expr.xreplace(positive))
 
 
 def _minors_psd(matrix: sp.Matrix, limit: int = 5) -> bool | None:

@@ -1,8 +1,8 @@
 """Exact decisions on symbolic scalars and matrices: zero, sign, rank, definiteness.
 
 Each answer is True (proved), False (refuted) or None (not decided); None is
-never turned into a yes. Refutations come from exact values or from
-high-precision values far from zero, proofs from symbolic algebra.
+never turned into a yes. Refutations come from exact values or from Arb balls
+that exclude zero, proofs from symbolic algebra.
 """
 
 from __future__ import annotations
@@ -14,15 +14,31 @@ from functools import lru_cache
 
 import sympy as sp
 
+from necc_casadi.errors import NeccError
+from necc_casadi.symbolic.arb import certain_sign, excludes_zero
+from necc_casadi.symbolic.constants import vanishes
 from necc_casadi.symbolic.expressions import is_finite
 
-__all__ = ["DIGITS", "PROBES", "is_small", "is_zero", "normal_form", "random_point", "sign"]
-
-
-DIGITS = 40
+__all__ = ["PROBES", "Undecided", "is_zero", "normal_form", "random_point", "sign"]
 
 
 PROBES = 3
+
+
+#: Binary digits of a first look, and of the last one after algebra has failed.
+_QUICK, _LONG = 256, 4096
+
+
+#: Characters of an expression that a message shows.
+_SHOWN = 80
+
+
+class Undecided(NeccError):
+    """Whether an expression is zero had to be known, and no proof was found either way."""
+
+    def __init__(self, expr: sp.Expr) -> None:
+        text = str(expr)
+        super().__init__(text if len(text) <= _SHOWN else text[: _SHOWN - 1] + "…")
 
 
 def random_point(
@@ -48,28 +64,19 @@ def random_point(
 
 @lru_cache(maxsize=65536)
 def sign(expr: sp.Expr) -> int | None:
-    """Sign of a real constant, exactly: -1, 0 or 1; None where it is not a finite real number."""
+    """Sign of a real constant, proved: -1, 0 or 1; None where no proof was found.
+
+    A sign other than 0 is that of an Arb ball without 0; 0 takes exact algebra.
+    """
     expr = sp.sympify(expr)
     if expr.is_Rational:
         return int(sp.sign(expr))
     if not expr.is_number or not is_finite(expr):
         return None
-    value = _probe(expr)
-    if value is None or abs(sp.im(value)) > sp.Float(10) ** (-DIGITS // 2):
-        return None
-    if abs(value) > sp.Float(10) ** (-DIGITS // 2):
-        return 1 if sp.re(value) > 0 else -1
-    if sp.simplify(expr) == 0 or expr.equals(0):
-        return 0
-    value = sp.re(expr.evalf(1000, maxn=5000))  # a very small number that is not zero?
-    if value.is_comparable and value != 0 and abs(value) > sp.Float(10) ** -900:
-        return 1 if value > 0 else -1
-    return None
-
-
-def _probe(expr: sp.Expr) -> sp.Expr | None:
-    value = expr.evalf(DIGITS, maxn=4 * DIGITS)
-    return value if value.is_number and value.is_finite is not False and value != sp.nan else None
+    soon = certain_sign(expr, _QUICK)
+    if soon is not None:
+        return soon
+    return 0 if vanishes(expr) or normal_form(expr) == 0 else certain_sign(expr)
 
 
 @lru_cache(maxsize=65536)
@@ -79,16 +86,22 @@ def is_zero(expr: sp.Expr) -> bool | None:
     if expr == 0:
         return True
     if not expr.free_symbols:
-        known = sign(expr)
-        return None if known is None else known == 0
-    for seed in range(PROBES):
-        value = _probe(expr.subs(random_point(expr.free_symbols, seed)))
-        if value is None or not is_small(sp.im(value)):
-            continue  # outside the domain of a root or a logarithm: shows nothing
-        if not is_small(value):
-            return False
+        value = sign(expr)
+        return None if value is None else value == 0
+    if _differs(expr, _QUICK):
+        return False
     attempts = (sp.expand, normal_form, sp.trigsimp, sp.simplify)
-    return True if any(attempt(expr) == 0 for attempt in attempts) else None
+    if any(attempt(expr) == 0 for attempt in attempts):
+        return True
+    return False if _differs(expr, _LONG) else None
+
+
+def _differs(expr: sp.Expr, bits: int) -> bool:
+    """Whether `expr` has a value that is certainly not 0 at one of a few real points."""
+    return any(
+        excludes_zero(expr, random_point(expr.free_symbols, seed), bits) is True
+        for seed in range(PROBES)
+    )
 
 
 def normal_form(expr: sp.Expr) -> sp.Expr:
@@ -103,6 +116,7 @@ def normal_form(expr: sp.Expr) -> sp.Expr:
     expr = expr.replace(
         lambda e: isinstance(e, sp.tan), lambda e: sp.sin(*e.args) / sp.cos(*e.args)
     )
+    expr = expr.replace(sp.acos, lambda a: sp.pi / 2 - sp.asin(a))
     expr = _whole_angles(expr)
     expr = sp.expand_trig(expr) if expr.has(sp.sin, sp.cos) else expr
     expr = sp.expand_power_exp(expr) if expr.has(sp.exp) else expr
@@ -136,8 +150,3 @@ def _whole_angles(expr: sp.Expr) -> sp.Expr:
         lambda e: isinstance(e, (sp.sin, sp.cos, sp.exp)),
         lambda e: e.func(sp.expand(sp.expand(e.args[0]).subs(scaled))),
     )
-
-
-def is_small(value: sp.Expr) -> bool:
-    """Whether a number is zero to half of the digits that were computed."""
-    return bool(abs(value) < sp.Float(10) ** (-DIGITS // 2))

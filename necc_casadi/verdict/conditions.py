@@ -97,6 +97,7 @@ class LocalConditions:
     directions: tuple[sp.Matrix, ...] = ()  # basis of {λ : Nλ = 0}, r × 1 each
     curvature: sp.ImmutableMatrix | None = None  # at `lam`
     best: Curvature | None = None
+    undecided: str | None = None  # an expression of which it is not known whether it is 0
 
     @classmethod
     def unknown(cls, n: int) -> LocalConditions:

@@ -15,16 +15,18 @@ turned by the same rates; on a Lie group q and ξ then stay at a constant distan
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
 import sympy as sp
 
 from necc_casadi.casimirs.find import find_casimirs
+from necc_casadi.errors import ModelError
 from necc_casadi.model.closed_loop import interconnect
 from necc_casadi.model.controller import Controller, default_controller, make_controller
 from necc_casadi.model.plant import Plant
 from necc_casadi.symbolic.linear_algebra import constant_kernel, reduced_rows
+from necc_casadi.symbolic.zero import Undecided
 from necc_casadi.verdict.judge import judge
 from necc_casadi.verdict.verdict import Verdict
 
@@ -49,13 +51,28 @@ def suggest_controllers(plant: Plant, x_star: Mapping[sp.Symbol, sp.Expr]) -> li
     reference = _judged(plant, default, x_star)
     if reference.reason == "not_an_equilibrium":
         return []
-    proposals = [
-        Proposal(f"{_kind(c)} with {c.nc} states", c, _judged(plant, c, x_star))
-        for c in (complete_controller(plant), kinematic_copy(plant))
-        if c is not None
-    ]
-    better = [p for p in proposals if p.verdict.merit > reference.merit]
+    made = [_proposal(plant, make, x_star) for make in (complete_controller, kinematic_copy)]
+    better = [p for p in made if p is not None and p.verdict.merit > reference.merit]
     return sorted(better, key=lambda p: p.verdict.merit, reverse=True)
+
+
+def _proposal(
+    plant: Plant,
+    make: Callable[[Plant], Controller | None],
+    x_star: Mapping[sp.Symbol, sp.Expr],
+) -> Proposal | None:
+    """A structure with its name and verdict; None where it is no controller for this plant.
+
+    A proposal that fails a check of the model is dropped: the model is not at fault.
+    """
+    try:
+        controller = make(plant)
+        if controller is None:
+            return None
+        verdict = _judged(plant, controller, x_star)
+    except (ModelError, Undecided):
+        return None
+    return Proposal(f"{_kind(controller)} with {controller.nc} states", controller, verdict)
 
 
 def _judged(plant: Plant, controller: Controller, x_star: Mapping[sp.Symbol, sp.Expr]) -> Verdict:

@@ -44,8 +44,8 @@ def explain(
     if reason == "ok":
         return _accepted(casimirs, local, reach)
     if reason == UNDECIDED:
-        return _undecided(loop, casimirs, data, local)
-    fault, w = _failure(loop, casimirs, local)
+        return _undecided(loop, casimirs, x_star, data, local)
+    fault, w = _failure(loop, casimirs, local, x_star)
     if reason == "needs_decreasing_phi":
         return (
             f"{fault}: no Φ with Φ₁ > 0 assigns this target. The loop is lossless, so Φ₁ < 0 "
@@ -88,10 +88,20 @@ def _accepted(casimirs: Casimirs, local: LocalConditions, reach: Reach) -> str:
 
 
 def _undecided(
-    loop: ClosedLoop, casimirs: Casimirs, data: TargetDerivatives, local: LocalConditions
+    loop: ClosedLoop,
+    casimirs: Casimirs,
+    x_star: Mapping[sp.Symbol, sp.Expr],
+    data: TargetDerivatives,
+    local: LocalConditions,
 ) -> str:
     if not all(is_finite(e) for e in (*data.grad_H, *data.hess_H)):
         return "not decided: H is not smooth at the target. Choose a target where it is."
+    unknown = local.undecided or casimirs.undecided
+    if unknown is not None:
+        return (
+            f"not decided: no proof was found whether {unknown} is zero. Write it in a "
+            "simpler form, or leave it out where it is zero."
+        )
     missing = casimirs.generic_count - len(casimirs.functions)
     if missing > 0:
         cause = (
@@ -110,23 +120,28 @@ def _undecided(
             "would not be proved. Supply other forms (casimirs = [...]) or move the target."
         )
     if assignable(local.reason) is False:
-        fault, _ = _failure(loop, casimirs, local)
+        fault, _ = _failure(loop, casimirs, local, x_star)
         return f"{fault}, but {cause}"
     return f"not decided: {cause}"
 
 
 def _failure(
-    loop: ClosedLoop, casimirs: Casimirs, local: LocalConditions
+    loop: ClosedLoop,
+    casimirs: Casimirs,
+    local: LocalConditions,
+    x_star: Mapping[sp.Symbol, sp.Expr],
 ) -> tuple[str, sp.MatrixBase | None]:
     """What fails along which direction, and the direction in the plant's coordinates."""
     x, W = loop.plant.x, local.invisible
     if local.gradient is False:
-        j = next(j for j in range(W.cols) if is_zero(local.slope[j]) is False)
-        w = W[:, j]
-        name = direction_name(x, w)
+        sloping = (j for j in range(W.cols) if is_zero(local.slope[j]) is False)
+        dissipating = _dissipating_direction(loop, x_star)
+        w = W[:, next(sloping)] if dissipating is None else sp.ImmutableMatrix(dissipating)
+        w = w / max(w, key=lambda e: abs(float(sp.N(e))))
+        slope = (w.T * at(loop.plant.grad_H, x_star))[0]
         return (
-            f"{name} is invisible to {_casimir_list(casimirs)} and H slopes along it "
-            f"({number(local.slope[j])})",
+            f"{direction_name(x, w)} is invisible to {_casimir_list(casimirs)} and H slopes along "
+            f"it ({number(slope)})",
             w,
         )
     best = local.best
@@ -148,12 +163,12 @@ def _failure(
 def _remedy(loop: ClosedLoop, x_star: Mapping[sp.Symbol, sp.Expr], w: sp.MatrixBase | None) -> str:
     if w is None:
         return "Add actuation, or choose another target."
-    obstacle = _dissipation_obstacle(loop, x_star, w)
+    obstacle = _dissipation_obstacle(loop, x_star, w) or _controller_obstacle(loop, x_star, w)
     if obstacle:
         return obstacle
     name = direction_name(loop.plant.x, w)
-    G = at(loop.plant.G, x_star)
-    if generic_rank(sp.Matrix(G).row_join(sp.Matrix(w))) == loop.plant.m:
+    G = sp.Matrix(at(loop.plant.G, x_star))
+    if any(is_zero(push) is not True for push in G.T * w):
         return (
             f"An input acts on {name}, but no Casimir ties it to the controller: try another "
             "controller structure (Jc, Gc), or another target."
@@ -165,35 +180,67 @@ def _remedy(loop: ClosedLoop, x_star: Mapping[sp.Symbol, sp.Expr], w: sp.MatrixB
 def _dissipation_obstacle(
     loop: ClosedLoop, x_star: Mapping[sp.Symbol, sp.Expr], w: sp.MatrixBase
 ) -> str | None:
-    """The entry of R that hides w, if without R a constant kernel would see it."""
-    if loop.R.is_zero_matrix:
+    """The entry of R that hides w from every controller structure; None where R does not.
+
+    ∇ₓC lies in ker R for every Casimir of every controller, so that all of the image of R is
+    invisible.
+    """
+    R = _dissipation_at(loop, x_star)
+    if R.is_zero_matrix or generic_rank(R.row_join(sp.Matrix(w))) > generic_rank(R):
+        return None
+    place = _dissipating_entry(R, sp.Matrix(w))
+    if place is None:
+        return None
+    i, j = place
+    return (
+        f"Dissipation obstacle: R[{i},{j}] = {short(loop.plant.R[i, j])} dissipates in "
+        f"{loop.plant.x[j]}, which would have to be shaped, and hides it from every controller "
+        "structure. Remove that dissipation from the shaped coordinate, or choose a target at "
+        "which it is at rest."
+    )
+
+
+def _controller_obstacle(
+    loop: ClosedLoop, x_star: Mapping[sp.Symbol, sp.Expr], w: sp.MatrixBase
+) -> str | None:
+    """The entry of Rc that hides w, if the lossless controller would see it."""
+    Rc, n = sp.Matrix(loop.controller.Rc), loop.plant.n
+    if Rc.is_zero_matrix:
         return None
     point = {**x_star, **{s: sp.Rational(3, 7) for s in loop.controller.xi}}
-    J, R = at(loop.J, point), at(loop.R, point)
-    lossless = kernel(sp.Matrix(J))
-    n = loop.plant.n
-    for k in range(lossless.cols):
-        v = lossless[:, k]
-        place = _dissipating_entry(sp.Matrix(R), v)
-        if place is None or is_zero((v[:n, :].T * w)[0]) is not False:
-            continue
-        i, j = place
-        label = f"R[{i},{j}]" if i < n else f"Rc[{i - n},{j - n}]"
-        return (
-            f"Dissipation obstacle: {label} = {short(loop.R[i, j])} dissipates in {loop.z[j]}, "
-            "which would have to be shaped. Remove that dissipation from the shaped coordinate, "
-            "or choose a target at which it is at rest."
-        )
+    lossless = loop.J - sp.diag(sp.Matrix(loop.plant.R), sp.zeros(*Rc.shape))
+    seen = kernel(sp.Matrix(at(lossless.T, point)))
+    for k in range(seen.cols):
+        place = _dissipating_entry(sp.Matrix(at(Rc, point)), seen[n:, k])
+        if place is not None and is_zero((seen[:n, k].T * w)[0]) is False:
+            i, j = place
+            return (
+                f"Rc[{i},{j}] = {short(Rc[i, j])} dissipates in {loop.controller.xi[j]}: no "
+                "Casimir that involves it is left. Set Rc = 0."
+            )
     return None
 
 
-def _dissipating_entry(R: sp.Matrix, v: sp.MatrixBase) -> tuple[int, int] | None:
-    """An entry of R through which Rv ≠ 0."""
-    lost = R * v
-    for i in range(R.rows):
-        if is_zero(lost[i]) is False:
-            return i, next(j for j in range(R.cols) if R[i, j] != 0 and v[j] != 0)
-    return None
+def _dissipation_at(loop: ClosedLoop, x_star: Mapping[sp.Symbol, sp.Expr]) -> sp.Matrix:
+    R = loop.plant.R
+    return sp.Matrix(R.subs({s: x_star[s] for s in R.free_symbols}))
+
+
+def _dissipating_entry(R: sp.Matrix, v: sp.Matrix) -> tuple[int, int] | None:
+    """An entry of R through which Rv ≠ 0, on the diagonal where there is one."""
+    lost = [i for i in range(R.rows) if is_zero((R[i, :] * v)[0]) is False]
+    entries = [(i, j) for i in lost for j in range(R.cols) if is_zero(R[i, j] * v[j]) is False]
+    return min(entries, key=lambda place: place[0] != place[1], default=None)
+
+
+def _dissipating_direction(
+    loop: ClosedLoop, x_star: Mapping[sp.Symbol, sp.Expr]
+) -> sp.Matrix | None:
+    """The coordinate that dissipates at rest: a column of R along which H slopes, if R∇H ≠ 0."""
+    R = _dissipation_at(loop, x_star)
+    slope = sp.Matrix(at(loop.plant.grad_H, x_star))
+    place = _dissipating_entry(R, slope)
+    return None if place is None else R[:, place[0]]
 
 
 def direction_name(x: Sequence[sp.Symbol], w: sp.MatrixBase) -> str:

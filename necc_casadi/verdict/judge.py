@@ -21,9 +21,10 @@ import sympy as sp
 
 from necc_casadi.casimirs.casimirs import Casimirs
 from necc_casadi.model.closed_loop import ClosedLoop
+from necc_casadi.model.piece import loop_piece
 from necc_casadi.symbolic.definiteness import UNDECIDED, Definiteness
 from necc_casadi.symbolic.derivatives import column
-from necc_casadi.symbolic.zero import is_zero, random_point, sign
+from necc_casadi.symbolic.zero import Undecided, is_zero, random_point, sign
 from necc_casadi.verdict.conditions import (
     LocalConditions,
     TargetDerivatives,
@@ -99,8 +100,17 @@ def judge(loop: ClosedLoop, casimirs: Casimirs, x_star: Mapping[sp.Symbol, sp.Ex
     'not_an_equilibrium'
     """
     point = {s: sp.sympify(x_star[s]) for s in loop.plant.x}
+    loop = loop_piece(loop, point).loop
     question = _Question(loop, casimirs, point, target_data(loop, casimirs, point))
-    balance = is_equilibrium(loop, point)
+    try:
+        return _judged(question)
+    except Undecided as unknown:
+        nothing = LocalConditions.unknown(loop.plant.n)
+        return _verdict(question, UNDECIDED, replace(nothing, undecided=str(unknown)))
+
+
+def _judged(question: _Question) -> Verdict:
+    balance = is_equilibrium(question.loop, question.point)
     if balance is not True:
         return _verdict(question, UNDECIDED if balance is None else "not_an_equilibrium")
     if question.data.depends_on_xi:
@@ -146,16 +156,18 @@ def _reach(
     if local.lam is None:
         return Reach()
     loop = question.loop
-    return reachable_stability(
-        Assignment(
-            loop=loop,
-            functions=question.casimirs.functions,
-            x_star=question.point,
-            xi_star=xi_star or tuple(sp.Rational(k + 1, 7) for k in range(loop.controller.nc)),
-            lam=_all_lambdas(question.data, local),
-            directions=local.directions,
-        )
+    assignment = Assignment(
+        loop=loop,
+        functions=question.casimirs.functions,
+        x_star=question.point,
+        xi_star=xi_star or tuple(sp.Rational(k + 1, 7) for k in range(loop.controller.nc)),
+        lam=_all_lambdas(question.data, local),
+        directions=local.directions,
     )
+    try:
+        return reachable_stability(assignment)
+    except Undecided as unknown:
+        return Reach(witness=f"no proof was found whether {unknown} is zero")
 
 
 def _all_lambdas(data: TargetDerivatives, local: LocalConditions) -> tuple[sp.Expr, ...]:

@@ -112,6 +112,6 @@ def assert_same_loop(design, plain):
     """The plain formulas are those of the design."""
     z = np.random.default_rng(3).uniform(-1.5, 1.5, (3, 20))
     np.testing.assert_allclose(
-        plain.flow(z), np.asarray(design.lyapunov.vector_field(z)), atol=1e-9, rtol=1e-9
+        plain.flow(z), design.lyapunov.vector_field(z.T).T, atol=1e-9, rtol=1e-9
     )
     np.testing.assert_allclose(plain.V(z), [design.V(v) for v in z.T], atol=1e-9, rtol=1e-9)

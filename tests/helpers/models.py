@@ -90,8 +90,8 @@ FAULTS = [
 FAULTS_AT_TARGET = [
     ("singular", "H = p**2 / 2 - 1 / q", "0", "q = 0"),
     ("singular", "R = sp.diag(0, 1 / q**2)", "0", "R"),
-    ("not_real", "H = p**2 / 2 + sp.log(q)", "-1", "q = -1"),
-    ("not_real", "H = p**2 / 2 + q**sp.Rational(5, 2)", "-1", "q = -1"),
+    ("singular", "H = p**2 / 2 + sp.log(q)", "-1", "q = -1"),
+    ("singular", "H = p**2 / 2 + q**sp.Rational(5, 2)", "-1", "q = -1"),
     ("r_not_psd", "R = sp.diag(0, p)", "pi/4,0", "at p ="),
     ("r_not_psd", "R = sp.diag(0, sp.cos(3 * p) + sp.exp(-q**2))", "pi/4,0", "at p ="),
     ("g_rank", "G = sp.Matrix([0, q])", "0,0", "q = 0"),

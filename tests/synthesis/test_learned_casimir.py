@@ -61,7 +61,7 @@ def residuals(made: Design, seed: int) -> np.ndarray:
     M = sp.lambdify([made.loop.z], made.loop.M, "numpy")
     rng = np.random.default_rng(seed)
     shares = []
-    for z in made.z_star + rng.uniform(-2, 2, (POINTS, made.loop.n)):
+    for z in made.z_star + rng.uniform(-2, 2, (POINTS, made.loop.n)) * made.sizes.state:
         slope = reference.jacobian(lambda s: reference.network(made.form.k, weights, s), z)[0]
         structure = np.asarray(M(z), float)
         size = np.linalg.norm(slope) * np.linalg.norm(structure, 2)

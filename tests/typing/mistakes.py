@@ -27,7 +27,7 @@ def balls(x: arb, A: arb_mat, residues: nmod_mat) -> None:
     arb(np.zeros(2))  # type: ignore[arg-type]
     fmpq(0.5)  # type: ignore[arg-type]
     flint.ctx.precision = 64  # type: ignore[attr-defined]
-    flint.acb(1)  # type: ignore[attr-defined]
+    flint.qqbar(1)  # type: ignore[attr-defined]
 
 
 def rounded(x: arb) -> float:

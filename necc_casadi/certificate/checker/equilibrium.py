@@ -7,6 +7,7 @@ from flint import arb, ctx
 
 from necc_casadi.certificate.checker.arithmetic.balls import ball, by_bisection, ends
 from necc_casadi.certificate.checker.arithmetic.definite import norm, positive
+from necc_casadi.certificate.checker.arithmetic.smooth import is_smooth_on
 from necc_casadi.certificate.checker.evidence import Checked, Evidence
 from necc_casadi.certificate.checker.model import StoredDesign
 from necc_casadi.certificate.claims import statements
@@ -57,6 +58,10 @@ def check_equilibrium(evidence: Evidence) -> Checked:
                 lambda: bool(_residual(evidence) / mu <= enclosure),
             ),
             ("the claimed z̄ is in the ball", lambda: bool(near < radius)),
+            (
+                "H, the Casimirs and the loop are smooth on the cube",
+                lambda: is_smooth_on(model.written, model.z, cube),
+            ),
             ("∇²V ⪰ μI on the cube around the ball", convex),
         ],
     )

@@ -10,6 +10,7 @@ import sympy as sp
 
 from necc_casadi.certificate.checker.arithmetic.balls import Box
 from necc_casadi.certificate.checker.arithmetic.potential import Energy
+from necc_casadi.certificate.checker.arithmetic.smooth import is_smooth_everywhere
 from necc_casadi.certificate.checker.evidence import Checked, Evidence, Obligation
 from necc_casadi.certificate.checker.invariant_sets import largest_invariant_set_is_critical
 from necc_casadi.certificate.checker.momenta import are_momenta
@@ -55,6 +56,10 @@ class _WholeSpace:
         model, form = self.model, self.model.form
         return [
             ("the loop is of constant structure", lambda: not self._varying()),
+            (
+                "everything is smooth for all states",
+                lambda: is_smooth_everywhere(model.written, model.z),
+            ),
             ("Φ is the sum H + Hc + K(c)", lambda: form["phi"] is None and not form["betas"]),
             ("the resting states are momenta", lambda: are_momenta(model, self.resting)),
             ("∂²H/∂p² ≻ 0 for all states", self._has_inertia),

@@ -13,6 +13,7 @@ from flint import arb_mat
 
 from necc_casadi.certificate.checker.arithmetic.balls import Box, ball, by_bisection, evaluate
 from necc_casadi.certificate.checker.arithmetic.definite import middle_of, regular
+from necc_casadi.certificate.checker.arithmetic.smooth import is_smooth_on
 from necc_casadi.certificate.checker.model import StoredDesign
 from necc_casadi.symbolic.zero import is_zero
 
@@ -65,9 +66,8 @@ def largest_invariant_set_is_critical(
 
 
 def loop_is_defined(model: StoredDesign, box: Box) -> bool:
-    """Whether the loop has no pole in a box of all states, where V itself may well be smooth."""
-    here = _OverBox(model, box)
-    return here.defined(sp.Matrix(model.Jcl - model.Rcl)) and here.defined(model.ports)
+    """Whether energy, structure and Casimirs are smooth, as written, in a box of all states."""
+    return is_smooth_on(model.written, model.z, box)
 
 
 def _kernel(Z: sp.Matrix, columns: Sequence[int]) -> sp.Matrix:

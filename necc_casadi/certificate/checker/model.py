@@ -93,6 +93,12 @@ class StoredDesign:
         return sp.Matrix(top.col_join(bottom))
 
     @property
+    def written(self) -> list[sp.Expr]:
+        """H, the entries of J, R, G, Jc, Rc, Gc and the Casimirs, undifferentiated."""
+        matrices = (self.J, self.R, self.G, self.Jc, self.Rc, self.Gc)
+        return [self.H, *(e for matrix in matrices for e in matrix), *self.casimirs]
+
+    @property
     def Rcl(self) -> sp.Matrix:
         """The dissipation."""
         return sp.diag(self.R, self.Rc)

@@ -19,6 +19,7 @@ from necc_casadi.certificate.prover.arithmetic.definite import (
 )
 from necc_casadi.certificate.prover.arithmetic.intervals import Interval
 from necc_casadi.certificate.prover.arithmetic.potential import Potential, target_enclosure
+from necc_casadi.certificate.prover.arithmetic.smooth import is_smooth_on, written
 
 __all__ = ["Equilibrium", "prove_equilibrium"]
 
@@ -100,12 +101,22 @@ def _largest_ball(
         mu = share * lowest
         for k, radii in enumerate(np.array_split(_RADII, _BATCHES)):
             if k == len(hessians):
-                r = radii[:, None]
-                below, above = np.nextafter(z_star.lo - r, -np.inf), z_star.hi + r
-                cubes = Interval(below, np.nextafter(above, np.inf))
-                hessians.append(potential.lower_hessian(cubes))
+                hessians.append(potential.lower_hessian(_cubes(z_star, radii[:, None])))
             holds = positive_definite(hessians[k], mu)
             holds &= gradient_norm < np.nextafter(mu * radii, 0)
-            if holds.any():
-                return float(radii[np.argmax(holds)]), mu
+            for radius in radii[holds]:
+                if _smooth(potential, z_star, float(radius)):
+                    return float(radius), mu
     return None
+
+
+def _cubes(z_star: Interval, r: Vector | float) -> Interval:
+    """The cubes z* ± r."""
+    below, above = np.nextafter(z_star.lo - r, -np.inf), z_star.hi + r
+    return Interval(below, np.nextafter(above, np.inf))
+
+
+def _smooth(potential: Potential, z_star: Interval, radius: float) -> bool:
+    """Whether V is made of smooth parts, and the loop as well, on the cube z* ± radius."""
+    design = potential.design
+    return is_smooth_on(written(design), design.loop.z, _cubes(z_star, radius))

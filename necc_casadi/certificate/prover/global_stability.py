@@ -20,6 +20,7 @@ from necc_casadi.certificate.prover.arithmetic.boxes import matrix_enclosure
 from necc_casadi.certificate.prover.arithmetic.definite import positive_definite
 from necc_casadi.certificate.prover.arithmetic.intervals import Interval
 from necc_casadi.certificate.prover.arithmetic.potential import Potential
+from necc_casadi.certificate.prover.arithmetic.smooth import is_smooth_everywhere, written
 from necc_casadi.certificate.prover.invariant_sets import largest_invariant_set_is_critical
 from necc_casadi.certificate.prover.region.critical_box import critical_box, is_periodic, periods
 from necc_casadi.certificate.prover.region.leaves import Base, prove_unique
@@ -86,6 +87,8 @@ def _beyond_scope(design: Design) -> str | None:
     loop, form = design.loop, design.form
     if form.phi is not None or form.betas:
         return "only Φ = H + Hc + C with C = K(c) is covered"
+    if not is_smooth_everywhere(written(design), loop.z):
+        return "energy, structure and Casimirs are not proved to be smooth for all states"
     if loop.M.free_symbols or loop.ports.free_symbols:
         return "J, R or G depend on the state"
     return None

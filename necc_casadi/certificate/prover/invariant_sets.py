@@ -27,6 +27,7 @@ from necc_casadi.arrays import Vector
 from necc_casadi.certificate.prover.arithmetic.boxes import matrix_enclosure, subdivide
 from necc_casadi.certificate.prover.arithmetic.definite import regular
 from necc_casadi.certificate.prover.arithmetic.intervals import Interval
+from necc_casadi.certificate.prover.arithmetic.smooth import is_smooth_on, written
 from necc_casadi.designs.design import Design
 from necc_casadi.symbolic.linear_algebra import kernel
 from necc_casadi.symbolic.zero import is_zero
@@ -80,9 +81,8 @@ def largest_invariant_set_is_critical(
 
 
 def loop_is_defined(design: Design, box: Interval) -> bool:
-    """Whether Jcl − Rcl and 𝒢 have no pole in a box of all states (N,): V may be smooth there."""
-    place, loop = _OverBox(design.loop.z, box), design.loop
-    return place.finite(sp.Matrix(loop.M)) and place.finite(sp.Matrix(loop.ports))
+    """Whether energy, structure and Casimirs are smooth, as written, in a box of all states."""
+    return is_smooth_on(written(design), design.loop.z, box)
 
 
 class _OverBox:

@@ -229,7 +229,7 @@ def test_an_obstacle_of_no_known_kind_is_unreadable(folder, tmp_path):
 def at_odds(data):
     """Fields that no longer agree with the claims, or with each other."""
     yield data | {"format": 2}
-    yield data | {"format": 5}
+    yield data | {"format": data["format"] + 1}
     yield data | {"is_global": not data["is_global"]}
     yield data | {"stability": "stable" if data["stability"] == "asymptotic" else "asymptotic"}
     yield data | {"reach": None}

@@ -104,7 +104,7 @@ class RegionProof:
                 "every state is within its reach",
                 lambda: self._bounds.reach(dict(enumerate(self.reach))),
             ),
-            ("the loop has no pole there", lambda: loop_is_defined(self.model, self.reach)),
+            ("everything is smooth there", lambda: loop_is_defined(self.model, self.reach)),
         ]
 
     def _has_inertia(self) -> bool:

@@ -194,7 +194,7 @@ class Interval:
         near = np.where(
             (self.lo <= 0) & (self.hi >= 0), 0.0, np.minimum(abs(self.lo), abs(self.hi))
         )
-        return Interval(near + 0.0 * self.lo, self.magnitude)._increasing(
+        return Interval(np.where(np.isnan(self.lo), np.nan, near), self.magnitude)._increasing(
             lambda x: (_exp(x) + _exp(-x)) * 0.5
         )
 
@@ -208,13 +208,11 @@ class Interval:
 
     def tan(self) -> Interval:
         """Tangent of x; unknown where a pole may be inside."""
-        safe = self.cos().reciprocal().lo * 0.0  # NaN where the cosine may vanish
-
-        def tangent(x: Vector) -> Interval:
-            sine, cosine = _sin_cos(x)
-            return sine / cosine
-
-        return (self + safe)._increasing(tangent)
+        cosine = self.cos()
+        free = (cosine.lo > 0) | (cosine.hi < 0)
+        # the ends as they are: moved outwards by a rounding they might lie beyond a pole
+        lo, hi = np.where(free, self.lo, np.nan), np.where(free, self.hi, np.nan)
+        return Interval(lo, hi)._increasing(_tan)
 
     def atan(self) -> Interval:
         """Arc tangent of x."""
@@ -230,7 +228,7 @@ class Interval:
 
     def asinh(self) -> Interval:
         """Inverse of sinh."""
-        return self._increasing(lambda x: _log_of(point(x) + (point(x).square() + 1.0).sqrt()))
+        return self._increasing(_asinh)
 
     def acosh(self) -> Interval:
         """Inverse of cosh on x > 1."""
@@ -242,7 +240,10 @@ class Interval:
 
     def _increasing(self, f: Callable[[Vector], Interval]) -> Interval:
         """Image under an increasing function that encloses its value at given numbers."""
-        return Interval(f(np.asarray(self.lo)).lo, f(np.asarray(self.hi)).hi)
+        lo, hi = f(np.asarray(self.lo)).lo, f(np.asarray(self.hi)).hi
+        # an end at which the function has no value leaves nothing known at the other end either
+        unknown = np.isnan(lo) | np.isnan(hi)
+        return Interval(np.where(unknown, np.nan, lo), np.where(unknown, np.nan, hi))
 
     def _periodic(self, phase: float, f: Callable[[Vector], Interval]) -> Interval:
         """Image under cos(x − phase·π), whose extrema lie at (k + phase)·π."""
@@ -369,6 +370,18 @@ def _sin_cos(x: Vector) -> tuple[Interval, Interval]:
 def _widened(value: Vector) -> Interval:
     lo, hi = _down(value - SIN_ERROR), _up(value + SIN_ERROR)
     return Interval(np.maximum(lo, -1.0), np.minimum(hi, 1.0))
+
+
+def _tan(x: Vector) -> Interval:
+    sine, cosine = _sin_cos(x)
+    return sine / cosine
+
+
+def _asinh(x: Vector) -> Interval:
+    """An odd function: for x < 0 the sum x + √(x² + 1) would cancel."""
+    size = point(np.abs(x))
+    value = _log_of(size + (size.square() + 1.0).sqrt())
+    return Interval(np.where(x < 0, -value.hi, value.lo), np.where(x < 0, -value.lo, value.hi))
 
 
 def _tanh(x: Vector) -> Interval:

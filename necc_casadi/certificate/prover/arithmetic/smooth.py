@@ -1,0 +1,80 @@
+"""Where the expressions of a design are defined and smooth, as they were written, over boxes.
+
+A derivative may hide a pole or a kink of what was differentiated (d/dq atan(tan q) = 1), so the
+parts of the original expressions are looked at before any derivative is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+import sympy as sp
+
+from necc_casadi.certificate.prover.arithmetic.boxes import subdivide
+from necc_casadi.certificate.prover.arithmetic.intervals import Interval
+from necc_casadi.certificate.prover.arithmetic.jets import expression_values
+from necc_casadi.designs.design import Design
+from necc_casadi.symbolic.smoothness import Condition, conditions, periodic
+
+__all__ = ["is_smooth_everywhere", "is_smooth_on", "written"]
+
+
+#: Cells on which a condition is looked at, in all.
+_CELLS = 4096
+
+#: A little more than one period of sine and cosine.
+_PERIOD = (0.0, 6.2832)
+
+
+def written(design: Design) -> list[sp.Expr]:
+    """H, the entries of J, R, G, Jc, Rc, Gc and the Casimirs, undifferentiated."""
+    plant, controller = design.loop.plant, design.loop.controller
+    matrices = (plant.J, plant.R, plant.G, controller.Jc, controller.Rc, controller.Gc)
+    entries = [e for matrix in matrices for e in matrix.todok().values()]
+    return [plant.H, *entries, *design.casimirs.functions]
+
+
+def is_smooth_on(
+    expressions: Iterable[sp.Expr], symbols: Sequence[sp.Symbol], box: Interval
+) -> bool:
+    """Whether every part of the expressions is proved to be smooth on a box (N,) of the symbols."""
+    demands = conditions(expressions)
+    if demands is None:
+        return False
+    sides = {s: box[i] for i, s in enumerate(symbols)}
+    return all(_holds(demand, sides, set(symbols)) for demand in demands)
+
+
+def is_smooth_everywhere(expressions: Iterable[sp.Expr], symbols: Sequence[sp.Symbol]) -> bool:
+    """Whether every part of the expressions is proved to be smooth for all real values.
+
+    Symbols of which only sines and cosines occur are cut into cells of one period; the others
+    are unbounded intervals.
+    """
+    demands = conditions(expressions)
+    if demands is None:
+        return False
+    line, period = Interval(np.array(-np.inf), np.array(np.inf)), Interval(*map(np.array, _PERIOD))
+    for demand in demands:
+        turning = periodic([demand], symbols)
+        sides = {s: period if s in turning else line for s in symbols}
+        if not _holds(demand, sides, turning):
+            return False
+    return True
+
+
+def _holds(demand: Condition, sides: dict[sp.Symbol, Interval], cut: set[sp.Symbol]) -> bool:
+    """Whether a condition holds on a box, on each cell of the symbols that are cut."""
+    used = sorted(demand.part.free_symbols, key=str)
+    split = [s for s in used if s in cut]
+    parts = int(_CELLS ** (1 / max(1, len(split))))
+    ends = [sides[s] for s in split]
+    whole = Interval(np.array([e.lo for e in ends]), np.array([e.hi for e in ends]))
+    with np.errstate(all="ignore"):
+        cells = subdivide(whole, parts)
+        variables = {s: cells[:, i] for i, s in enumerate(split)}
+        variables |= {s: sides[s] for s in used if s not in cut}
+        (value,) = expression_values([demand.part], variables)
+        positive = value.lo > 0
+        return bool((positive if demand.positive else positive | (value.hi < 0)).all())
