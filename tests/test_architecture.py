@@ -16,6 +16,7 @@ PACKAGE = Path(necc_casadi.__file__).parent
 ORDER = (
     ("errors", "arrays", "cases", "interrupts"),
     ("files",),
+    ("folders",),
     ("symbolic",),
     ("model",),
     ("casimirs",),

@@ -26,7 +26,7 @@ _UNGROUPED = "Other"
 INTERNAL_FAULT, BAD_INPUT, INTERRUPTED = 1, 2, 130
 
 
-_STOPPED = "interrupted; finished files are kept, nothing is half-written"
+_STOPPED = "interrupted; the output folder is the earlier one or the new one, whole"
 
 
 _OUR_MISTAKE = "This is our mistake; --debug shows where it happened."

@@ -122,7 +122,7 @@ def to_dict(design: Parts) -> dict[str, Any]:
         "units": _sizes_text(design.units),
         "curvature": _hex(design.curvature),
         "seed": design.seed,
-        "starts": [asdict(start) for start in design.starts],
+        "starts": [_of_input_alone(start) for start in design.starts],
         "learned": None if design.learned is None else asdict(design.learned),
         "weights": _hex(design.weights),
     }
@@ -130,6 +130,11 @@ def to_dict(design: Parts) -> dict[str, Any]:
 
 def _sizes_text(sizes: Sizes) -> dict[str, Any]:
     return {name: _hex(np.asarray(getattr(sizes, name))) for name in _SIZES}
+
+
+def _of_input_alone(start: Start) -> dict[str, Any]:
+    """A start without its seconds: a design is a function of its input."""
+    return {key: value for key, value in asdict(start).items() if key != "seconds"}
 
 
 def _model_hash(model: Mapping[str, Any]) -> str:
