@@ -131,7 +131,7 @@ def test_a_file_that_was_changed_by_hand_is_neither_replaced_nor_lost(tmp_path, 
 def test_a_change_during_the_run_is_seen(tmp_path, way):
     out = tmp_path / "out"
     write(out, 1)
-    with pytest.raises(OutputError, match="changed by hand"), whole_folder(out) as folder:
+    with pytest.raises(OutputError, match="changed by hand"), whole_folder(out) as folder:  # noqa: PT012
         write_text(folder / "design.json", "2\n")
         (out / "design.json").write_text("by hand")
     assert (out / "design.json").read_text() == "by hand"

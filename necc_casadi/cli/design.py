@@ -19,6 +19,7 @@ from necc_casadi.cli.options import (
     last_options,
     numbers,
     output_option,
+    read_prefix,
     read_range,
     region_option,
     solver_option,
@@ -138,6 +139,14 @@ __all__ = ["design_command"]
     default="heun",
     show_default=True,
     help="How the C controller advances its state over a sample.",
+)
+@output_option(
+    "--prefix",
+    default="necc",
+    show_default=True,
+    metavar="NAME",
+    callback=read_prefix,
+    help="How every external name of the C controller begins.",
 )
 @output_option("--fmu", is_flag=True, help="Also an FMI 2.0 co-simulation unit.")
 @output_option("--mex", is_flag=True, help="Also a MEX source for MATLAB.")

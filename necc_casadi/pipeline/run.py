@@ -248,6 +248,7 @@ def _exported(
         "real": request.real,
         "sample_time": time,
         "integrator": integrator,
+        "prefix": request.prefix,
         "certificate_hash": hashlib.sha256(certificate.to_json().encode()).hexdigest(),
         "claims": [claim.statement for claim in certificate.claims if claim.holds],
     }
@@ -257,7 +258,7 @@ def _exported(
             name = re.sub(r"\W", "_", request.model.stem)
             files.append(export_fmu(made, out / f"{name}.fmu", **common))
         if request.mex:
-            files.append(export_mex(made, out / "matlab" / "necc_control.c"))
+            files.append(export_mex(made, out / "matlab", request.prefix))
     sampling = None if time is None else analyse_sampling(made, time, integrator)
     return _Export(tuple(files), sampling)
 
