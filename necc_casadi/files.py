@@ -63,9 +63,9 @@ def finite(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def to_json_text(value: Any, indent: int | None = None) -> str:
+def to_json_text(value: Any, indent: int | None = None, *, ascii_only: bool = False) -> str:
     """Strict JSON, one line unless indented; null for numbers that are not finite."""
-    return json.dumps(finite(value), indent=indent, ensure_ascii=False, allow_nan=False)
+    return json.dumps(finite(value), indent=indent, ensure_ascii=ascii_only, allow_nan=False)
 
 
 def write_text(path: Path, content: str | bytes) -> Path:

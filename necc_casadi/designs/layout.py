@@ -26,6 +26,7 @@ from necc_casadi.model.sizes import Sizes
 from necc_casadi.symbolic.expressions import parse, to_text
 from necc_casadi.symbolic.floats import to_floats
 from necc_casadi.symbolic.identifiers import identifiers
+from necc_casadi.texts import escaped
 from necc_casadi.verdict.verdict import Verdict
 
 __all__ = ["BROKEN", "DESIGN_FORMAT", "check_whole", "from_dict", "to_dict"]
@@ -148,6 +149,9 @@ def check_whole(design: Parts, data: Mapping[str, Any]) -> None:
     r = len(design.casimirs.functions)
     if data["model_hash"] != _model_hash(data["model"]):
         raise ValueError("the model was edited: its hash differs")
+    shown = [plant.name, *design.loop.states, *plant.units.values()]
+    if any(escaped(text) != text for text in shown):
+        raise ValueError("a name or a unit holds characters that cannot be shown")
     shapes = {
         "weights": (design.weights, (form.size,)),
         "xi_star": (design.xi_star, (nc,)),
