@@ -5,7 +5,7 @@ import re
 from pathlib import Path
 
 import pytest
-from helpers.commands import DESIGN, check_refusal, design, process
+from helpers.commands import DESIGN, check_refusal, design, process, without_progress
 from helpers.models import FAULTS, FAULTS_AT_TARGET, model
 from helpers.problems import PENDULUM
 from hypothesis import example, given, settings

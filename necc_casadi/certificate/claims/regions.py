@@ -6,6 +6,7 @@ How a region is cut into boxes, and what its box is, each side works out for its
 from __future__ import annotations
 
 import base64
+import math
 import zlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -51,6 +52,10 @@ Method = Literal["grid", "ellipsoid", "chart"]
 #: What stops a search: a momentum, the border of the domain or of the cells, a possible critical
 #: point, a pole of the loop, or nothing but the method itself.
 Kind = Literal["momentum", "border", "cells", "critical", "undefined", "method"]
+
+#: Cells of a grid that is read: far more than any search makes.
+_MOST_CELLS = 1 << 24
+
 
 #: What stops a flood of cells at one of them.
 _AT_A_CELL: frozenset[Kind] = frozenset({"border", "cells", "critical"})
@@ -112,7 +117,7 @@ class Grid:
     @property
     def size(self) -> int:
         """Number of cells."""
-        return int(np.prod(self.shape))
+        return math.prod(self.shape)
 
     def cell_of(self, y: Vector) -> tuple[int, ...] | None:
         """The cell that holds a point (d,), by plain division; None outside of the grid."""
@@ -142,8 +147,15 @@ class GridRegion:
     @property
     def mask(self) -> Truth:
         """The cells of the component, in the shape of the grid."""
-        bits = np.frombuffer(zlib.decompress(base64.b64decode(self.cells)), dtype=np.uint8)
-        count = int(np.prod(self.shape))
+        count = math.prod(self.shape)
+        if min(self.shape, default=0) < 1 or count > _MOST_CELLS:
+            raise ValueError(f"a grid of {count} cells")
+        unpacked = zlib.decompressobj().decompress(
+            base64.b64decode(self.cells, validate=True), count // 8 + 2
+        )
+        bits = np.frombuffer(unpacked, dtype=np.uint8)
+        if bits.size != -(-count // 8):
+            raise ValueError("the grid has more or fewer cells than its shape")
         return np.unpackbits(bits, count=count).astype(bool).reshape(self.shape)
 
     def contains(self, V: Lyapunov, z: Sequence[float]) -> bool:

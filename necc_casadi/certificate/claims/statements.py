@@ -8,8 +8,9 @@ safe side.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from decimal import ROUND_CEILING, ROUND_FLOOR, Decimal
+from typing import Literal, get_args
 
 from necc_casadi.certificate.claims.regions import Follows, Kind, LimitedBy, Method, RegionClaim
 from necc_casadi.certificate.claims.units import Units
@@ -18,18 +19,24 @@ __all__ = [
     "DAMPING",
     "DECREASE",
     "GLOBAL",
+    "NO_NEIGHBOURHOOD",
+    "NO_REGION",
+    "ONLY_STABLE",
     "STRUCTURE",
-    "UNPROVED",
+    "Missing",
     "attraction",
     "casimir",
     "conserved",
     "equilibrium",
     "input_limits",
     "limited_by",
-    "only_stable",
+    "no_limits",
+    "no_region",
+    "not_global",
     "ranges",
     "region",
     "slope",
+    "unproved",
 ]
 
 
@@ -43,6 +50,10 @@ DECREASE = (
     "V never increases along the continuous-time, unsaturated loop, wherever the model is "
     "defined and for every D, Dc ≻ 0"
 )
+
+
+#: Of z̄ where the exact verdict at the target, which is no part of the proof, expects no more.
+ONLY_STABLE = "z̄ is stable; that motions converge to it is not claimed"
 
 
 GLOBAL = "z̄ is globally asymptotically stable: every solution converges to it"
@@ -64,12 +75,24 @@ _AT_A_CELL: dict[Kind, str] = {
 }
 
 
-#: How a claim begins that is made beside others, but not held.
-UNPROVED = {
-    "region": "no region",
-    "input_limits": "no neighbourhood of z̄ is proved to keep u within ",
-    "global": "no global claim: ",
-}
+#: What may be missing for a global claim.
+Missing = Literal[
+    "z̄ is not proved to attract",
+    "∇²V ≻ 0 is not proved for every state",
+    "only Φ = H + Hc + C with C = K(c) is covered",
+    "energy, structure and Casimirs are not proved to be smooth for all states",
+    "the invariant sets are not proved to be the critical points of V",
+    "the Casimirs are not linear",
+]
+
+
+NO_REGION = "no region without a proof of stability"
+
+
+NO_NEIGHBOURHOOD = "no neighbourhood of z̄ is proved free of other critical points"
+
+
+_POLE = "the loop, which may have a pole in it"
 
 
 #: What limits a region where nothing in its surroundings does.
@@ -114,9 +137,35 @@ def conserved(function: str) -> str:
     return f"z̄ is stable, but cannot attract: the damped loop conserves {function}"
 
 
-def only_stable(witness: str) -> str:
-    """Of a stable z̄, with what the verdict in design.json says about the target."""
-    return f"z̄ is stable; by the verdict in design.json no design can make it attract: {witness}"
+def no_region(limit: str) -> str:
+    """Where nothing around z̄ is proved, with what stopped the search."""
+    return f"no region is proved: {limit}"
+
+
+def no_limits(limits: Sequence[Sequence[float]]) -> str:
+    """Where u is not proved to stay within the limits of the model."""
+    return f"no neighbourhood of z̄ is proved to keep u within {ranges(limits)}"
+
+
+def not_global(missing: Missing) -> str:
+    """Where the whole space is not proved."""
+    return f"no global claim: {missing}"
+
+
+def unproved(
+    states: Sequence[str], limits: Sequence[Sequence[float]]
+) -> Mapping[str, frozenset[str]]:
+    """Everything that may be said of a claim that is made beside others, but not held."""
+    stopped = [NO_NEIGHBOURHOOD, _POLE, *map(_at_domain, states)]
+    return {
+        "region": frozenset([NO_REGION, *map(no_region, stopped)]),
+        "input_limits": frozenset([no_limits(limits)]),
+        "global": frozenset(map(not_global, get_args(Missing))),
+    }
+
+
+def _at_domain(state: str) -> str:
+    return f"the domain, in {state}"
 
 
 def region(level: float, share: float, limit: str, follows: Follows) -> str:
@@ -132,9 +181,9 @@ def limited_by(
 ) -> str:
     """What limits a region, or leaves none."""
     if limit.kind == "momentum":
-        return f"the domain, in {states[limit.at[0]]}"
+        return _at_domain(states[limit.at[0]])
     if region is None or limit.kind == "undefined":
-        return "the loop, which may have a pole in it"
+        return _POLE
     if limit.kind not in _AT_A_CELL:
         return _METHODS[region.method]
     place = zip(region.active, units.place(region.active, region.place(limit)), strict=True)

@@ -103,7 +103,7 @@ def _extended(
     """The certificate with the region, the input limits and the whole space."""
     stability, energy = certificate.stability, design.units.energy
     if stability is None:
-        missing = Claim("region", False, "no region without a proof of stability")
+        missing = Claim("region", False, statements.NO_REGION)
         return replace(certificate, claims=(*certificate.claims, missing))
     proof = prove_region(potential, equilibrium)
     everywhere = _global_claim(design.natural, stability)
@@ -142,7 +142,7 @@ def _global_claim(design: Design, stability: Stability) -> Claim:
     if stability == "asymptotic":
         found = prove_global_stability(design, design.momenta)
     if found.missing is not None:
-        return Claim("global", False, f"{statements.UNPROVED['global']}{found.missing}")
+        return Claim("global", False, statements.not_global(found.missing))
     data = {"resting": list(found.resting), "bends": list(found.bends)}
     return Claim("global", True, statements.GLOBAL, data)
 
@@ -151,7 +151,7 @@ def _region_claim(design: Design, proof: RegionProof, stability: Stability) -> C
     states, units = design.loop.states, units_of(design)
     limit = proof.limited_by(states, units)
     if proof.region is None or proof.limit is None:
-        return Claim("region", False, f"{statements.UNPROVED['region']} is proved: {limit}")
+        return Claim("region", False, statements.no_region(limit))
     follows = _follows(design.natural, proof, stability)
     level = units.energy * proof.region.level
     text = statements.region(level, proof.shares["domain_share"], limit, follows)
@@ -183,8 +183,7 @@ def _input_level(design: Design, proof: RegionProof, equilibrium: Equilibrium) -
 def _limits_claim(design: Design, proof: RegionProof, level_u: float | None) -> Claim:
     limits = design.loop.plant.u_limits or ()
     if proof.region is None or level_u is None:
-        text = f"{statements.UNPROVED['input_limits']}{statements.ranges(limits)}"
-        return Claim("input_limits", False, text)
+        return Claim("input_limits", False, statements.no_limits(limits))
     energy = design.units.energy
     text = statements.input_limits(limits, energy * level_u, energy * proof.region.level)
     return Claim("input_limits", True, text)

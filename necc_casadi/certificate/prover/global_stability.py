@@ -16,6 +16,7 @@ import numpy as np
 import sympy as sp
 
 from necc_casadi.arrays import Vector
+from necc_casadi.certificate.claims.statements import Missing
 from necc_casadi.certificate.prover.arithmetic.boxes import matrix_enclosure, subdivide
 from necc_casadi.certificate.prover.arithmetic.definite import positive_definite
 from necc_casadi.certificate.prover.arithmetic.hessian_floor import (
@@ -52,7 +53,7 @@ Bends = tuple[float | None, float | None]
 class GlobalStability:
     """Whether z̄ is proved to attract every state of the whole space."""
 
-    missing: str | None  # None: nothing is
+    missing: Missing | None  # None: nothing is
     resting: tuple[int, ...] = ()  # momenta that were minimised out
     #: of Hc and K without their quadratic parts: below f″, where cells of the line gave it
     bends: Bends = (None, None)
@@ -78,7 +79,7 @@ def _others(design: Design, resting: Sequence[int]) -> list[sp.Symbol]:
     return [s for i, s in enumerate(design.loop.z) if i not in resting]
 
 
-def _beyond_scope(design: Design, resting: Sequence[int], slopes: sp.Matrix) -> str | None:
+def _beyond_scope(design: Design, resting: Sequence[int], slopes: sp.Matrix) -> Missing | None:
     """What the structure of the loop lacks for a global claim."""
     loop, form = design.loop, design.form
     if form.phi is not None or form.betas:

@@ -24,7 +24,7 @@ from necc_casadi.certificate.claims.regions import (
     LimitedBy,
     RegionClaim,
 )
-from necc_casadi.certificate.claims.statements import limited_by
+from necc_casadi.certificate.claims.statements import NO_NEIGHBOURHOOD, limited_by
 from necc_casadi.certificate.claims.units import Units
 from necc_casadi.certificate.prover.arithmetic.intervals import Interval
 from necc_casadi.certificate.prover.arithmetic.potential import Potential
@@ -70,7 +70,7 @@ class RegionProof:
     def limited_by(self, states: Sequence[str], units: Units) -> str:
         """What limits the region, in words."""
         if self.limit is None:
-            return "no neighbourhood of z̄ is proved free of other critical points"
+            return NO_NEIGHBOURHOOD
         return limited_by(self.limit, states, self.region, units)
 
     def boxes(self) -> Interval | None:
