@@ -145,7 +145,7 @@ def copied(made, tmp_path):
 
 
 def code_claim(folder):
-    code, text, err = here(_certify, folder, "--json")
+    code, text, _ = here(_certify, folder, "--json")
     claims = {claim["name"]: claim for claim in json.loads(text)["claims"]}
     return code, claims["code"]["holds"], claims["code"]["statement"]
 
