@@ -4,7 +4,16 @@ from __future__ import annotations
 
 from typing import Literal
 
-__all__ = ["Activation", "CasimirForm", "Integrator", "Mode", "PhiForm", "Precision", "Shape"]
+__all__ = [
+    "NAME_IN_C",
+    "Activation",
+    "CasimirForm",
+    "Integrator",
+    "Mode",
+    "PhiForm",
+    "Precision",
+    "Shape",
+]
 
 
 #: Of the hidden layers, element-wise.
@@ -33,3 +42,8 @@ Precision = Literal["double", "float"]
 
 #: How the C controller advances its state over a sample.
 Integrator = Literal["heun", "euler", "rk4"]
+
+
+#: How a name of the C code may begin, as a pattern: C99 tells names apart by 31 letters, and those
+#: that begin with _ belong to compilers.
+NAME_IN_C = r"[A-Za-z][A-Za-z0-9_]{0,30}"

@@ -14,8 +14,9 @@ PACKAGE = Path(necc_casadi.__file__).parent
 #: Folders and top-level files in the order of the theory. Each imports from lines above its own
 #: only; what shares a line does not know each other.
 ORDER = (
-    ("errors", "arrays", "cases", "interrupts"),
+    ("errors", "arrays", "cases", "interrupts", "texts"),
     ("files",),
+    ("folders",),
     ("symbolic",),
     ("model",),
     ("casimirs",),
@@ -136,7 +137,7 @@ def test_a_design_rests_on_values_only():
 
 
 #: What the checker may share with the prover: data and words, and symbolic algebra.
-TRUSTED = {"errors", "arrays", "files", "symbolic", "certificate/claims"}
+TRUSTED = {"errors", "arrays", "files", "texts", "symbolic", "certificate/claims"}
 
 
 def test_the_checker_rests_on_the_trusted_base_alone():
@@ -171,7 +172,14 @@ print("\\n".join(sys.modules))
     ours = {name for name in loaded if name.startswith("necc_casadi.")}
     for name in ours:
         assert not name.startswith("necc_casadi.certificate.prover"), name
-        assert name.split(".")[1] in {"errors", "arrays", "files", "symbolic", "certificate"}, name
+        assert name.split(".")[1] in {
+            "errors",
+            "arrays",
+            "files",
+            "texts",
+            "symbolic",
+            "certificate",
+        }, name
 
 
 def test_only_the_shell_knows_click_prints_or_exits():

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import sys
 import time
 from pathlib import Path
@@ -10,8 +9,9 @@ from typing import Any
 
 import click
 
+from necc_casadi.cli.console import Progress, echo, echo_json
 from necc_casadi.cli.options import json_option, last_options
-from necc_casadi.cli.terminal import GroupedCommand, NamedPath, Progress, run
+from necc_casadi.cli.terminal import GroupedCommand, NamedPath, run
 
 __all__ = ["certify_command"]
 
@@ -41,11 +41,11 @@ def _certify(out: Path, **options: Any) -> int:
     if options["as_json"]:
         status = "certified" if holds else "fell_short"
         claims = [vars(result) for result in results]
-        click.echo(json.dumps({"status": status, "claims": claims, "seconds": seconds}))
+        echo_json({"status": status, "claims": claims, "seconds": seconds})
     else:
         for result in results:
             mark = "holds" if result.holds else "DOES NOT HOLD"
-            click.echo(f"{result.name:12} {mark:14} {result.statement}")
+            echo(f"{result.name:12} {mark:14} {result.statement}")
     return 0 if holds else 4
 
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from necc_casadi.cases import Activation, CasimirForm, Integrator, PhiForm, Precision, Shape
+from necc_casadi.cli.console import Progress, echo, echo_json
 from necc_casadi.cli.options import (
     Positive,
     choice,
@@ -19,13 +20,14 @@ from necc_casadi.cli.options import (
     last_options,
     numbers,
     output_option,
+    read_prefix,
     read_range,
     region_option,
     solver_option,
     task_option,
     widths,
 )
-from necc_casadi.cli.terminal import GroupedCommand, NamedPath, Progress, columns, run
+from necc_casadi.cli.terminal import GroupedCommand, NamedPath, columns, run
 
 if TYPE_CHECKING:
     from necc_casadi.pipeline.request import Request
@@ -139,6 +141,14 @@ __all__ = ["design_command"]
     show_default=True,
     help="How the C controller advances its state over a sample.",
 )
+@output_option(
+    "--prefix",
+    default="necc",
+    show_default=True,
+    metavar="NAME",
+    callback=read_prefix,
+    help="How every external name of the C controller begins.",
+)
 @output_option("--fmu", is_flag=True, help="Also an FMI 2.0 co-simulation unit.")
 @output_option("--mex", is_flag=True, help="Also a MEX source for MATLAB.")
 @output_option("--sample-time", type=Positive(), help="Sample time of the C controller, s.")
@@ -168,13 +178,15 @@ def _design(model: Path, **options: Any) -> int:
     """
     progress = Progress()
     with progress.shown():
-        from necc_casadi.files import to_json_text
         from necc_casadi.pipeline.run import run_design
         from necc_casadi.report.to_json import to_json
         from necc_casadi.report.to_text import summary
 
         found = run_design(_request(model, options), progress.say)
-    click.echo(to_json_text(to_json(found)) if options["as_json"] else summary(found, columns()))
+    if options["as_json"]:
+        echo_json(to_json(found))
+    else:
+        echo(summary(found, columns()))
     return found.exit_code
 
 

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable
 from typing import Any, get_args
 
 import click
 
+from necc_casadi.cases import NAME_IN_C
 from necc_casadi.cli.terminal import grouped
 from necc_casadi.errors import OptionError
 
@@ -19,6 +21,7 @@ __all__ = [
     "last_options",
     "numbers",
     "output_option",
+    "read_prefix",
     "read_range",
     "region_option",
     "solver_option",
@@ -54,6 +57,15 @@ def _read_numbers(_ctx: click.Context, option: click.Parameter, text: str | None
 
     label = option.opts[-1]
     return tuple(float(parse_number(part, label, "usage", OptionError)) for part in text.split(","))
+
+
+def read_prefix(_ctx: click.Context, _option: click.Parameter, text: str) -> str:
+    """The beginning of a name in C."""
+    if re.fullmatch(NAME_IN_C, text) is None:
+        raise click.BadParameter(
+            f"{text!r} cannot begin the names of C: use a letter, then letters, digits and _"
+        )
+    return text
 
 
 def read_range(_ctx: click.Context, _option: click.Parameter, text: str | None) -> Any:

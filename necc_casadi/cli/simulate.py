@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
+from necc_casadi.cli.console import echo, echo_json, fitting
 from necc_casadi.cli.options import (
     Positive,
     json_option,
@@ -65,7 +65,7 @@ def _simulate(out: Path, **options: Any) -> int:
             "usage", "--csv - and --json both want stdout", "Name a file: --csv response.csv."
         )
     from necc_casadi.designs.design import Design
-    from necc_casadi.files import finite, write_text
+    from necc_casadi.files import write_text
     from necc_casadi.simulation.responses import simulate
 
     made = Design.load(out)
@@ -89,11 +89,11 @@ def _simulate(out: Path, **options: Any) -> int:
 
         write_figure(responses_figure(made, [response]), options["plot"])
     if str(options["csv"]) == "-":
-        click.echo(text, nl=False)
+        click.echo(fitting(text, sys.stdout), nl=False)
     elif options["as_json"]:
-        click.echo(json.dumps(finite(_response_json(made, response))))
+        echo_json(_response_json(made, response))
     else:
-        click.echo(_response_text(made, response))
+        echo(_response_text(made, response))
     return 0 if response.complete else 4
 
 

@@ -1,9 +1,8 @@
-"""The shell of every command: grouped help, errors in two lines, exit codes, progress on stderr."""
+"""The shell of every command: grouped help, errors in two lines, exit codes."""
 
 from __future__ import annotations
 
 import contextlib
-import json
 import os
 import shutil
 import sys
@@ -14,10 +13,11 @@ from typing import Any
 
 import click
 
+from necc_casadi.cli.console import echo, echo_json, fitting, readable_streams
 from necc_casadi.errors import InputError, OutputError
 from necc_casadi.interrupts import interruptible
 
-__all__ = ["GroupedCommand", "NamedPath", "Progress", "columns", "grouped", "run"]
+__all__ = ["GroupedCommand", "NamedPath", "columns", "grouped", "run"]
 
 
 _UNGROUPED = "Other"
@@ -26,7 +26,7 @@ _UNGROUPED = "Other"
 INTERNAL_FAULT, BAD_INPUT, INTERRUPTED = 1, 2, 130
 
 
-_STOPPED = "interrupted; finished files are kept, nothing is half-written"
+_STOPPED = "interrupted; the output folder is the earlier one or the new one, whole"
 
 
 _OUR_MISTAKE = "This is our mistake; --debug shows where it happened."
@@ -54,7 +54,11 @@ def grouped(group: str) -> Callable[..., Callable[..., Any]]:
 
 
 class GroupedCommand(click.Command):
-    """A command whose --help shows its options under headings."""
+    """A command whose --help shows its options under headings, on any console."""
+
+    def get_help(self, ctx: click.Context) -> str:
+        """The text of --help in the letters of stdout."""
+        return fitting(super().get_help(ctx), sys.stdout)
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write one section per heading, in the order of the options."""
@@ -83,6 +87,7 @@ def run(command: click.Command, arguments: Sequence[str] | None = None) -> int:
     """Run a command and return its exit code; every fault becomes one clear message."""
     given = list(sys.argv[1:] if arguments is None else arguments)
     as_json, debug = "--json" in given, "--debug" in given
+    readable_streams()
     try:
         with _same_stdout(), interruptible():
             code = command.main(given, standalone_mode=False)
@@ -110,9 +115,9 @@ def _end(status: int, code: str, lines: Sequence[str], as_json: bool) -> int:
     """Say what happened: lines on stderr, with --json one object on stdout; the exit code."""
     if as_json:
         message = " ".join(line.strip() for line in lines).removeprefix(f"error [{code}]: ")
-        click.echo(json.dumps({"status": "error", "error": {"code": code, "message": message}}))
+        echo_json({"status": "error", "error": {"code": code, "message": message}})
     for line in lines:
-        click.echo(line, err=True)
+        echo(line, err=True)
     return status
 
 
@@ -146,30 +151,3 @@ def columns() -> int:
     """Columns for a page of text on this terminal; where stdout is none, as many as we like."""
     wide = shutil.get_terminal_size((_WIDEST, 24)).columns
     return max(_NARROWEST, min(_WIDEST, wide))
-
-
-class Progress:
-    """A spinner on stderr that names the step at hand; silent when stderr is no terminal."""
-
-    def __init__(self) -> None:
-        self._status: Any = None
-
-    @contextlib.contextmanager
-    def shown(self) -> Iterator[Progress]:
-        """Show the spinner while the block runs."""
-        if not sys.stderr.isatty():
-            yield self
-            return
-        from rich.console import Console
-
-        with Console(stderr=True).status("starting", spinner="dots") as status:
-            self._status = status
-            try:
-                yield self
-            finally:
-                self._status = None
-
-    def say(self, text: str) -> None:
-        """Name the step at hand."""
-        if self._status is not None:
-            self._status.update(text)

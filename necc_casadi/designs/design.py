@@ -21,7 +21,7 @@ from necc_casadi.designs.layout import BROKEN, DESIGN_FORMAT, check_whole, from_
 from necc_casadi.designs.natural import natural_parts
 from necc_casadi.designs.parts import Parts
 from necc_casadi.errors import OutputError
-from necc_casadi.files import write_text
+from necc_casadi.files import refuse_unfinished, write_text
 from necc_casadi.lyapunov.lyapunov import LyapunovFunction, make_terms
 from necc_casadi.model.domain import Domain, domain_of
 from necc_casadi.model.sizes import input_names
@@ -175,7 +175,9 @@ class Design(Parts):
             When there is none, or it is not a design of this format.
         """
         path = Path(path)
-        path = path / "design.json" if path.is_dir() else path
+        if path.is_dir():
+            refuse_unfinished(path)
+            path = path / "design.json"
         try:
             text = path.read_text(encoding="utf-8")
         except (OSError, UnicodeDecodeError) as problem:

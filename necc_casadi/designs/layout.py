@@ -26,6 +26,7 @@ from necc_casadi.model.sizes import Sizes
 from necc_casadi.symbolic.expressions import parse, to_text
 from necc_casadi.symbolic.floats import to_floats
 from necc_casadi.symbolic.identifiers import identifiers
+from necc_casadi.texts import escaped
 from necc_casadi.verdict.verdict import Verdict
 
 __all__ = ["BROKEN", "DESIGN_FORMAT", "check_whole", "from_dict", "to_dict"]
@@ -122,7 +123,7 @@ def to_dict(design: Parts) -> dict[str, Any]:
         "units": _sizes_text(design.units),
         "curvature": _hex(design.curvature),
         "seed": design.seed,
-        "starts": [asdict(start) for start in design.starts],
+        "starts": [_of_input_alone(start) for start in design.starts],
         "learned": None if design.learned is None else asdict(design.learned),
         "weights": _hex(design.weights),
     }
@@ -130,6 +131,11 @@ def to_dict(design: Parts) -> dict[str, Any]:
 
 def _sizes_text(sizes: Sizes) -> dict[str, Any]:
     return {name: _hex(np.asarray(getattr(sizes, name))) for name in _SIZES}
+
+
+def _of_input_alone(start: Start) -> dict[str, Any]:
+    """A start without its seconds: a design is a function of its input."""
+    return {key: value for key, value in asdict(start).items() if key != "seconds"}
 
 
 def _model_hash(model: Mapping[str, Any]) -> str:
@@ -143,6 +149,9 @@ def check_whole(design: Parts, data: Mapping[str, Any]) -> None:
     r = len(design.casimirs.functions)
     if data["model_hash"] != _model_hash(data["model"]):
         raise ValueError("the model was edited: its hash differs")
+    shown = [plant.name, *design.loop.states, *plant.units.values()]
+    if any(escaped(text) != text for text in shown):
+        raise ValueError("a name or a unit holds characters that cannot be shown")
     shapes = {
         "weights": (design.weights, (form.size,)),
         "xi_star": (design.xi_star, (nc,)),

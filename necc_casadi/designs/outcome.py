@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 from necc_casadi.cases import Mode
 
-__all__ = ["STATUS", "Residual", "Start", "Status"]
+__all__ = ["STATUS", "Residual", "Start", "Status", "solver_seconds"]
 
 
 @dataclass(frozen=True)
@@ -67,14 +68,19 @@ class Start:
     mode: Mode
     status: str  # IPOPT's return status
     iterations: int
-    seconds: float  # inside IPOPT
     objective: float  # shape objective (hard, shaped) or ε (soft), as IPOPT saw it
     loss: float  # ε recomputed from the weights (eq. Loss)
+    seconds: float | None = None  # inside IPOPT; of the run, so not a part of a stored design
 
     @property
     def explained(self) -> Status:
         """Meaning of the status and what to try next."""
         return STATUS.get(self.status, _UNKNOWN)
+
+
+def solver_seconds(starts: Iterable[Start]) -> float:
+    """Time inside IPOPT, all starts of this run together, s."""
+    return sum(start.seconds or 0.0 for start in starts)
 
 
 @dataclass(frozen=True)

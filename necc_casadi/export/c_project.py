@@ -12,7 +12,7 @@ from necc_casadi.export.demonstration import demonstration
 from necc_casadi.export.header import header
 from necc_casadi.export.readme import readme
 from necc_casadi.export.source import Source
-from necc_casadi.export.templating import fill
+from necc_casadi.export.templating import PREFIX, fill
 from necc_casadi.export.vectors import vector_table
 from necc_casadi.files import write_text
 
@@ -28,6 +28,7 @@ def export_c(
     integrator: Integrator = "heun",
     certificate_hash: str | None = None,
     claims: Sequence[str] = (),
+    prefix: str = PREFIX,
     measured: bool = True,
 ) -> list[Path]:
     """Write the C controller of `design` into `folder` (OUT/c); return the files written.
@@ -46,6 +47,9 @@ def export_c(
         ``heun``, ``euler`` or ``rk4``: how ξ advances over a sample with x held.
     certificate_hash, claims
         Hash of certificate.json and what it claims, for the header.
+    prefix
+        Every external name of the code begins with it, macros in capitals; the files keep
+        their names.
     measured
         Compile and time the code for the README, where a C compiler is.
 
@@ -57,7 +61,8 @@ def export_c(
     Raises
     ------
     OptionError
-        For an unknown type or integrator, or a sample time that is not positive.
+        For an unknown type or integrator, a sample time that is not positive, or a prefix that
+        is no beginning of a name in C.
     OutputError
         When a file cannot be written.
 
@@ -72,14 +77,14 @@ def export_c(
     >>> sorted(path.name for path in export_c(made, Path("c"), measured=False))[-3:]
     ['necc.h', 'selftest.c', 'test_vectors.h']
     """
-    source = Source(design, real, sample_time, integrator, certificate_hash, tuple(claims))
+    source = Source(design, real, sample_time, integrator, certificate_hash, tuple(claims), prefix)
     files = {
         "necc.h": header(source),
         "necc.c": controller(source),
         "main.c": demonstration(source),
         "test_vectors.h": vector_table(source),
-        "selftest.c": fill("selftest.c"),
-        "CMakeLists.txt": fill("CMakeLists.txt"),
+        "selftest.c": source.named(fill("selftest.c")),
+        "CMakeLists.txt": fill("CMakeLists.txt", prefix=prefix),
         "README.md": readme(source, measured=measured),
     }
     return [write_text(Path(folder) / name, text) for name, text in files.items()]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ctypes
 import os
-import re
 import shutil
 import subprocess
 import tempfile
@@ -21,6 +20,7 @@ from necc_casadi.errors import OutputError
 from necc_casadi.export.controller import controller
 from necc_casadi.export.header import header
 from necc_casadi.export.source import Source
+from necc_casadi.export.templating import PREFIX
 
 __all__ = [
     "CompiledController",
@@ -43,23 +43,24 @@ class CompiledController:
     nc: int  # controller states
     m: int  # inputs
     real: Any  # ctypes.c_double or ctypes.c_float
+    prefix: str = PREFIX
 
     def control(self, x: Sequence[float], xi: Sequence[float]) -> tuple[Vector, Vector]:
         """``necc_control``: plant state (n,), controller state (nc,) -> u (m,), ξ̇ (nc,)."""
         u, xi_dot = (self.real * self.m)(), (self.real * self.nc)()
-        self.library.necc_control(self._array(x, self.n), self._array(xi, self.nc), u, xi_dot)
+        self._function("control")(self._array(x, self.n), self._array(xi, self.nc), u, xi_dot)
         return np.array(u, float), np.array(xi_dot, float)
 
     def init(self) -> Vector:
         """``necc_init``: ξ at the designed equilibrium, (nc,)."""
         xi = (self.real * self.nc)()
-        self.library.necc_init(xi)
+        self._function("init")(xi)
         return np.array(xi, float)
 
     def init_at(self, x0: Sequence[float]) -> tuple[Vector, int]:
         """``necc_init_at``: plant state (n,) -> ξ at the minimum of V(x0, ·), (nc,), flags."""
         xi = (self.real * self.nc)()
-        flags = self.library.necc_init_at(xi, self._array(x0, self.n))
+        flags = self._function("init_at")(xi, self._array(x0, self.n))
         return np.array(xi, float), int(flags)
 
     def step(
@@ -67,8 +68,11 @@ class CompiledController:
     ) -> tuple[Vector, Vector, int]:
         """``necc_step``: ξ (nc,), measured x (n,), dt in s -> u (m,), next ξ (nc,), flags."""
         state, u = self._array(xi, self.nc), (self.real * self.m)()
-        flags = self.library.necc_step(state, self._array(x, self.n), u, self.real(dt))
+        flags = self._function("step")(state, self._array(x, self.n), u, self.real(dt))
         return np.array(u, float), np.array(state, float), int(flags)
+
+    def _function(self, name: str) -> Any:
+        return getattr(self.library, f"{self.prefix}_{name}")
 
     def _array(self, values: Sequence[float], length: int) -> Any:
         return (self.real * length)(*(float(v) for v in values))
@@ -88,31 +92,38 @@ def compile_controller(
         source = Source(design, **options)
         for name, text in (("necc.h", header(source)), ("necc.c", controller(source))):
             (Path(folder) / name).write_text(text, encoding="utf-8")
-        return load_controller(Path(folder), flags=flags)
+        return load_controller(Path(folder), prefix=source.prefix, flags=flags)
 
 
 def load_controller(
-    folder: Path, *, compiler: str | None = None, flags: Sequence[str] = ("-O2",)
+    folder: Path,
+    *,
+    prefix: str = PREFIX,
+    compiler: str | None = None,
+    flags: Sequence[str] = ("-O2",),
 ) -> CompiledController:
     """Compile ``necc.c`` of `folder` (OUT/c) in a temporary folder and load it.
 
     Raises
     ------
     OutputError
-        When no C compiler is found, or it fails.
+        When no C compiler is found, or it fails, or the code has other names.
     """
     compiler = compiler or find_compiler()
     if compiler is None:
         raise OutputError("output", "no C compiler was found", _REMEDY)
-    header = (Path(folder) / "necc.h").read_text(encoding="utf-8")
-    sizes = {name: int(size) for name, size in re.findall(r"#define NECC_(N\w+) (\d+)", header)}
-    real = ctypes.c_float if "typedef float" in header else ctypes.c_double
     with tempfile.TemporaryDirectory(prefix="necc-") as build:
         target = Path(build) / "necc.so"
         compile_shared(compiler, [Path(folder) / "necc.c"], target, flags)
         library = ctypes.CDLL(str(target))
-    library.necc_init.restype = library.necc_control.restype = None
-    return CompiledController(library, sizes["NX"], sizes["NXI"], sizes["NU"], real)
+    try:
+        n, nc, m, size = (ctypes.c_int * 4).in_dll(library, f"{prefix}_dimensions")
+    except ValueError:
+        raise OutputError(
+            "output", f"{folder} holds no code with the prefix {prefix}", "Name the prefix."
+        ) from None
+    real = ctypes.c_float if size == ctypes.sizeof(ctypes.c_float) else ctypes.c_double
+    return CompiledController(library, n, nc, m, real, prefix)
 
 
 def compile_shared(

@@ -21,8 +21,10 @@ def controller(source: Source) -> str:
     """The text of ``necc.c``."""
     networks, real = _networks(source), source.number
     saturation = _saturation(source)
-    return fill(
+    text = fill(
         "necc.c",
+        design_hash=source.design.hash,
+        guard=f"NECC_DESIGN_{source.design.hash[:16]}",
         lanes=LANES[source.real],
         width=width(networks, LANES[source.real]),
         literal="literal##f" if real.suffix else "literal",
@@ -39,6 +41,7 @@ def controller(source: Source) -> str:
         xi_star=real.literals(source.design.xi_star),
         init_at=_init_at(source),
     )
+    return source.named(text)
 
 
 def _networks(source: Source) -> list[CNetwork]:

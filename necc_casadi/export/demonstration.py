@@ -22,7 +22,7 @@ def demonstration(source: Source) -> str:
     x, u = ca.SX.sym("x", source.n), ca.SX.sym("u", source.m)
     x_dot = terms.F(x) @ terms.grad_H(x) + terms.G(x) @ u
     columns = [*source.design.loop.states, *(f"u{i + 1}" for i in range(source.m)), "flags"]
-    return fill(
+    text = fill(
         "main.c",
         sample_time=f"{source.step_time:.6g}",
         sample_literal=real.literal(source.step_time),
@@ -35,6 +35,7 @@ def demonstration(source: Source) -> str:
         steps=_STEPS,
         columns=",".join(["t", *identifiers(columns)]),
     )
+    return source.named(text)
 
 
 def _start(source: Source) -> Vector:

@@ -18,9 +18,10 @@ from necc_casadi.export.compiled import compile_shared, find_compiler
 from necc_casadi.export.controller import controller
 from necc_casadi.export.header import header
 from necc_casadi.export.source import Source
-from necc_casadi.export.templating import fill
+from necc_casadi.export.templating import PREFIX, fill
 from necc_casadi.files import write_text
 from necc_casadi.symbolic.identifiers import identifiers
+from necc_casadi.texts import escaped
 
 __all__ = ["export_fmu"]
 
@@ -40,6 +41,7 @@ def export_fmu(
     integrator: Integrator = "heun",
     certificate_hash: str | None = None,
     claims: Sequence[str] = (),
+    prefix: str = PREFIX,
 ) -> Path:
     """Write `path`, sources included, and a binary for this machine where a C compiler is.
 
@@ -52,10 +54,10 @@ def export_fmu(
     OutputError
         When the compiler fails or the file cannot be written.
     """
-    source = Source(design, real, sample_time, integrator, certificate_hash, tuple(claims))
+    source = Source(design, real, sample_time, integrator, certificate_hash, tuple(claims), prefix)
     guid = f"{{{design.hash[:32]}}}"
     wrapper = fill("fmu.c", guid=guid, x_star=source.number.literals(design.z_star[: source.n]))
-    texts = {"necc.h": header(source), "necc.c": controller(source), "fmu.c": wrapper}
+    texts = {"necc.h": header(source), "necc.c": controller(source), "fmu.c": source.named(wrapper)}
     path = Path(path)
     name = re.sub(r"\W", "_", path.stem, flags=re.ASCII)
     files: dict[str, str | bytes] = {"modelDescription.xml": _description(source, guid, name)}
@@ -98,7 +100,7 @@ def _description(source: Source, guid: str, name: str) -> str:
     root = ET.Element(
         "fmiModelDescription",
         fmiVersion="2.0",
-        modelName=loop.plant.name,
+        modelName=escaped(loop.plant.name),
         guid=guid,
         generationTool="necc-casadi",
         variableNamingConvention="flat",
@@ -114,7 +116,7 @@ def _description(source: Source, guid: str, name: str) -> str:
     files = ET.SubElement(unit, "SourceFiles")
     for file in _SOURCES:
         ET.SubElement(files, "File", name=file)
-    units = [loop.plant.units.get(state) for state in loop.plant.states]
+    units = [escaped(loop.plant.units.get(state, "")) for state in loop.plant.states]
     definitions = dict.fromkeys(unit for unit in units if unit)
     if definitions:
         parent = ET.SubElement(root, "UnitDefinitions")
@@ -127,7 +129,7 @@ def _description(source: Source, guid: str, name: str) -> str:
     return '<?xml version="1.0" encoding="UTF-8"?>\n' + ET.tostring(root, encoding="unicode") + "\n"
 
 
-def _variables(root: ET.Element, design: Design, units: Sequence[str | None]) -> None:
+def _variables(root: ET.Element, design: Design, units: Sequence[str]) -> None:
     """x, u, ξ, flags and start_at_minimum; the order fixes the value references in fmu.c."""
     loop = design.loop
     variables = ET.SubElement(root, "ModelVariables")

@@ -25,7 +25,7 @@ def header(source: Source) -> str:
     targets = zip(plant.states, design.z_star, strict=False)
     certificate = source.certificate_hash
     define = f"#define NECC_SAMPLE_TIME {source.number.literal(sample)} /* s */" if sample else ""
-    return fill(
+    text = fill(
         "necc.h",
         title=comment(plant.name),
         target=comment(", ".join(f"{name} = {value:.6g}" for name, value in targets)),
@@ -41,7 +41,9 @@ def header(source: Source) -> str:
         order=_order(source),
         real=source.real,
         integrator_name=_METHODS[source.integrator],
+        guard=f"NECC_DESIGN_{design.hash[:16]}",
     )
+    return source.named(text)
 
 
 def _claims(source: Source) -> str:

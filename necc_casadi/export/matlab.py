@@ -9,17 +9,19 @@ from pathlib import Path
 import casadi as ca
 
 from necc_casadi.designs.design import Design
+from necc_casadi.export.templating import PREFIX
 from necc_casadi.files import write_text
 
 __all__ = ["export_mex"]
 
 
-def export_mex(design: Design, path: Path) -> Path:
+def export_mex(design: Design, folder: Path, prefix: str = PREFIX) -> Path:
     """Write a C file for ``mex``: in MATLAB ``[u, xidot] = necc_control(x, xi)``.
 
-    The file stands alone (``mex -largeArrayDims necc_control.c``). It is the continuous law
-    in double precision, for simulation beside MATLAB's own integrators; for Simulink and for
-    hardware use ``necc.c`` or the FMI unit, which also keep ξ and the input limits.
+    The file stands alone (``mex -largeArrayDims necc_control.c``) and has the function's name.
+    It is the continuous law in double precision, for simulation beside MATLAB's own integrators;
+    for Simulink and for hardware use ``necc.c`` or the FMI unit, which also keep ξ and the input
+    limits.
 
     Raises
     ------
@@ -28,9 +30,10 @@ def export_mex(design: Design, path: Path) -> Path:
     """
     law = design.lyapunov.control_law_function
     x, xi = law.mx_in()
-    named = ca.Function("necc_control", [x, xi], law.call([x, xi]), ["x", "xi"], ["u", "xidot"])
-    generator = ca.CodeGenerator("necc_control.c", {"mex": True})
+    name = f"{prefix}_control"
+    named = ca.Function(name, [x, xi], law.call([x, xi]), ["x", "xi"], ["u", "xidot"])
+    generator = ca.CodeGenerator(f"{name}.c", {"mex": True})
     generator.add(named)
-    with tempfile.TemporaryDirectory(prefix="necc-") as folder:
-        made = generator.generate(folder + os.sep)  # dump() leaves mexFunction out
-        return write_text(Path(path), Path(made).read_text(encoding="utf-8"))
+    with tempfile.TemporaryDirectory(prefix="necc-") as made:
+        code = Path(generator.generate(made + os.sep))  # dump() leaves mexFunction out
+        return write_text(Path(folder) / f"{name}.c", code.read_text(encoding="utf-8"))

@@ -15,6 +15,7 @@ from necc_casadi.export.controller import controller
 from necc_casadi.export.header import header
 from necc_casadi.export.source import Source
 from necc_casadi.export.templating import fill
+from necc_casadi.texts import escaped
 
 __all__ = ["Measurement", "measure", "readme"]
 
@@ -40,15 +41,16 @@ def readme(source: Source, *, measured: bool = True) -> str:
     float_note = ""
     if source.real == "float":
         float_note = " The claims in `necc.h` are about exact arithmetic, not about its rounding."
-    return fill(
+    text = fill(
         "README.md",
-        title=source.design.loop.plant.name,
+        title=escaped(source.design.loop.plant.name),
         sample_time=f"{source.step_time:g}",
         sample_literal=source.number.literal(source.step_time),
         real=source.real,
         float_note=float_note,
         measured=_table(rows, compiler) if rows else "Not measured: no C compiler was at hand.",
     )
+    return source.named(text)
 
 
 def measure(source: Source, compiler: str, flags: tuple[str, ...]) -> Measurement | None:
@@ -58,7 +60,7 @@ def measure(source: Source, compiler: str, flags: tuple[str, ...]) -> Measuremen
         texts = {
             "necc.h": header(source),
             "necc.c": controller(source),
-            "timing.c": fill("timing.c"),
+            "timing.c": source.named(fill("timing.c")),
         }
         for name, text in texts.items():
             (build / name).write_text(text, encoding="utf-8")

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from functools import cached_property
 from typing import get_args
 
 import numpy as np
 
-from necc_casadi.cases import Integrator, Precision
+from necc_casadi.cases import NAME_IN_C, Integrator, Precision
 from necc_casadi.designs.design import Design
 from necc_casadi.errors import OptionError
 from necc_casadi.export.casadi2c import Real
 from necc_casadi.export.sampled_loop import ORDERS, largest_stable_time
+from necc_casadi.export.templating import PREFIX, prefixed
 
 __all__ = ["Source"]
 
@@ -28,7 +30,8 @@ class Source:
     Raises
     ------
     OptionError
-        For an unknown type or integrator, or a sample time that is not positive.
+        For an unknown type or integrator, a sample time that is not positive, or a prefix that
+        is no beginning of a name in C.
     """
 
     design: Design
@@ -37,6 +40,7 @@ class Source:
     integrator: Integrator = "heun"
     certificate_hash: str | None = None
     claims: tuple[str, ...] = ()
+    prefix: str = PREFIX
 
     def __post_init__(self) -> None:
         if self.real not in get_args(Precision):
@@ -51,6 +55,16 @@ class Source:
             raise OptionError(
                 "usage", f"the sample time is {self.sample_time}", "Give seconds, above 0."
             )
+        if re.fullmatch(NAME_IN_C, self.prefix) is None:
+            raise OptionError(
+                "usage",
+                f"--prefix {self.prefix!r} cannot begin the names of C",
+                "Use a letter, then letters, digits and _, at most 31 together.",
+            )
+
+    def named(self, code: str) -> str:
+        """C code with the prefix of this export."""
+        return prefixed(code, self.prefix)
 
     @property
     def number(self) -> Real:

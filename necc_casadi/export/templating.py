@@ -5,7 +5,13 @@ from __future__ import annotations
 import re
 from importlib import resources
 
-__all__ = ["comment", "fill", "indent"]
+from necc_casadi.texts import escaped, to_ascii
+
+__all__ = ["PREFIX", "comment", "fill", "indent", "prefixed"]
+
+
+#: The prefix that templates are written with.
+PREFIX = "necc"
 
 
 def fill(template: str, **values: object) -> str:
@@ -21,6 +27,12 @@ def indent(text: str, by: str = "    ") -> str:
 
 
 def comment(text: str) -> str:
-    """`text` on one line and harmless inside a C comment."""
-    line = "".join(letter if letter.isprintable() else " " for letter in text)
+    """`text` on one line of ASCII and harmless inside a C comment."""
+    line = to_ascii(escaped(text))
     return line.replace("*/", "* /").replace("/*", "/ *").replace("??", "? ?")
+
+
+def prefixed(code: str, prefix: str) -> str:
+    """C code with another prefix to its names; file names and comments on them stay."""
+    code = re.sub(rf"\b{PREFIX}_(?=\w)", f"{prefix}_", code)
+    return re.sub(rf"\b{PREFIX.upper()}_(?=\w)", f"{prefix.upper()}_", code)

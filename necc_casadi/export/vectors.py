@@ -89,12 +89,13 @@ def vector_table(source: Source) -> str:
         allowed = [np.asarray(v, float).ravel() for v in scales.call([z[:n], z[n:], dt])]
         outputs = [u, xi_dot, limited, after, *allowed]
         rows.append(_row([z[:n], z[n:]], outputs, dt, flags, real))
-    return fill(
+    text = fill(
         "test_vectors.h",
         count=_COUNT,
         tolerance=f"{TOLERANCE[real.name]:g}",
         vectors=",\n".join(rows),
     )
+    return source.named(text)
 
 
 def _saturated(design: Design, u: Vector) -> tuple[Vector, int]:

@@ -25,6 +25,7 @@ from necc_casadi.model.plant import Plant, make_plant
 from necc_casadi.model.sizes import input_names
 from necc_casadi.symbolic.expressions import exact, parse_number
 from necc_casadi.symbolic.zero import sign
+from necc_casadi.texts import escaped
 
 __all__ = ["Model", "damping_matrix", "load_model"]
 
@@ -172,8 +173,11 @@ def _build(path: Path, space: dict[str, Any], overrides: Mapping[str, str]) -> M
     plant = make_plant(
         [_real(s) for s in file.states],
         *(file.attempt(name) for name in ("J", "R", "G", "H")),
-        name=str(space.get("name", path.stem)),
-        units={name: str(unit) for name, unit in file.table("units").items()},
+        name=_printable(str(space.get("name", escaped(path.stem))), "name"),
+        units={
+            name: _printable(str(unit), f"units[{escaped(name)}]")
+            for name, unit in file.table("units").items()
+        },
         u_limits=_limits(file),
     )
     loop = interconnect(plant, _controller(plant, file))
@@ -239,15 +243,27 @@ class _Reader:
             return self.space[name]
 
 
+def _printable(text: str, label: str) -> str:
+    """A text that C comments, XML, plots and terminals can show."""
+    if escaped(text) != text:
+        raise ModelError(
+            "model_file",
+            f"{label} = '{escaped(text)}' holds characters that cannot be shown",
+            "Write it on one line, with letters, digits and signs.",
+        )
+    return text
+
+
 def _symbols(value: Any, label: str) -> list[sp.Symbol]:
-    if isinstance(value, sp.Symbol):
-        return [value]
     try:
-        return list(value)
+        symbols = [value] if isinstance(value, sp.Symbol) else list(value)
     except TypeError:
         raise ModelError(
             "shape", f"{label} = {value!r} is not a tuple of symbols", f"Write {label} = (q, p)."
         ) from None
+    for symbol in symbols:
+        _printable(str(symbol), f"a name in {label}")
+    return symbols
 
 
 def _real(symbol: sp.Symbol) -> sp.Symbol:

@@ -71,6 +71,7 @@ class Request:
     real: Precision = "double"
     sample_time: float | None = None
     integrator: Integrator = "heun"
+    prefix: str = "necc"
     fmu: bool = False
     mex: bool = False
 

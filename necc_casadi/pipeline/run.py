@@ -21,9 +21,10 @@ from necc_casadi.casimirs.find import find_casimirs
 from necc_casadi.certificate.claims.certificate import Certificate
 from necc_casadi.certificate.prover.certify import certify
 from necc_casadi.designs.design import Design
-from necc_casadi.designs.outcome import Start
+from necc_casadi.designs.outcome import Start, solver_seconds
 from necc_casadi.export.sampled_loop import SampledLoop
-from necc_casadi.files import check_writable, write_text
+from necc_casadi.files import LISTING, check_writable, write_text
+from necc_casadi.folders import whole_folder
 from necc_casadi.model.model_file import Model, load_model
 from necc_casadi.model.spot_checks import check_model_at
 from necc_casadi.pipeline.advice import (
@@ -71,6 +72,10 @@ _RESPONSES = 10
 _PATIENCE = 10.0
 
 
+#: A file of others in one of these places is found before any training.
+_EXPECTED = ("design.json", "certificate.json", "c/necc.h", "c/necc.c")
+
+
 def run_design(request: Request, say: Say) -> Findings:
     """Judge the target and, where it is assignable, design, certify, simulate and write.
 
@@ -93,13 +98,20 @@ def run_design(request: Request, say: Say) -> Findings:
     learning = task.options.learn_casimir and task.verdict.assignable is not False
     if not (task.verdict.assignable or learning) or request.check:
         return found
+    figures = ("figures/lyapunov.png",) if request.plots else ()
+    with whole_folder(request.out, (*_EXPECTED, *figures)) as folder:
+        return _made(request, task, found, folder, clock)
+
+
+def _made(request: Request, task: _Task, found: Findings, folder: Path, clock: Clock) -> Findings:
+    """Everything after a favourable verdict; files go into `folder`."""
     made = _designed(task, clock)
     certificate = _certified(made, clock)
-    files = _saved(made, certificate, request.out)
+    files = _saved(made, certificate, folder)
     motion, share = _simulated(made, clock), sampled_share(made, certificate)
-    export = _exported(request, made, certificate, clock)
+    export = _exported(request, made, certificate, folder, clock)
     sweep = () if request.sweep_a is None else _swept(request.sweep_a, task, clock)
-    drawn = _drawn(request, made, certificate, motion.responses, sweep, clock)
+    drawn = _drawn(request, made, certificate, motion.responses, sweep, folder, clock)
     return replace(
         found,
         design=made,
@@ -116,8 +128,9 @@ def run_design(request: Request, say: Say) -> Findings:
             *response_notes(motion.responses, _PATIENCE),
             *export.notes,
         ),
-        files=tuple(
-            path.relative_to(request.out).as_posix() for path in (*files, *export.files, *drawn)
+        files=(
+            *(path.relative_to(folder).as_posix() for path in (*files, *export.files, *drawn)),
+            LISTING,
         ),
         timings=dict(clock.timings),
     )
@@ -173,7 +186,7 @@ def _designed(task: _Task, clock: Clock) -> Design:
     """Train and damp."""
     with clock.stage("design", "training"):
         made = _trained(task, task.options, clock.say)
-    clock.timings["solve"] = sum(start.seconds for start in made.starts)
+    clock.timings["solve"] = solver_seconds(made.starts)
     return made
 
 
@@ -224,18 +237,21 @@ class _Export:
         return () if warning is None else (warning,)
 
 
-def _exported(request: Request, made: Design, certificate: Certificate, clock: Clock) -> _Export:
+def _exported(
+    request: Request, made: Design, certificate: Certificate, out: Path, clock: Clock
+) -> _Export:
     """Write the C controller and what was asked for around it; look at the sampled loop."""
     from necc_casadi.export.c_project import export_c
     from necc_casadi.export.fmu import export_fmu
     from necc_casadi.export.matlab import export_mex
     from necc_casadi.export.sampled_loop import analyse_sampling
 
-    out, time, integrator = request.out, request.sample_time, request.integrator
+    time, integrator = request.sample_time, request.integrator
     common: dict[str, Any] = {
         "real": request.real,
         "sample_time": time,
         "integrator": integrator,
+        "prefix": request.prefix,
         "certificate_hash": hashlib.sha256(certificate.to_json().encode()).hexdigest(),
         "claims": [claim.statement for claim in certificate.claims if claim.holds],
     }
@@ -245,7 +261,7 @@ def _exported(request: Request, made: Design, certificate: Certificate, clock: C
             name = re.sub(r"\W", "_", request.model.stem)
             files.append(export_fmu(made, out / f"{name}.fmu", **common))
         if request.mex:
-            files.append(export_mex(made, out / "matlab" / "necc_control.c"))
+            files.append(export_mex(made, out / "matlab", request.prefix))
     sampling = None if time is None else analyse_sampling(made, time, integrator)
     return _Export(tuple(files), sampling)
 
@@ -266,6 +282,7 @@ def _drawn(
     certificate: Certificate,
     responses: Sequence[Trajectory],
     sweep: Sequence[SweepPoint],
+    out: Path,
     clock: Clock,
 ) -> list[Path]:
     """Draw what there is to see."""
@@ -279,13 +296,11 @@ def _drawn(
         if certificate.level is not None:
             starts = region_boundary(made, certificate.level, certificate.reach)
             inside = [simulate(made, start) for start in starts]
-            figures["region"] = region_figure(
-                made, certificate.level, inside, certificate.reach
-            )
+            figures["region"] = region_figure(made, certificate.level, inside, certificate.reach)
         landscape = landscape_figure(made, certificate)
         if landscape is not None:
             figures["landscape"] = landscape
         if sweep:
             figures["sweep"] = sweep_figure(made, sweep)
-        folder = request.out / "figures"
+        folder = out / "figures"
         return [write_figure(figure, folder / f"{name}.png") for name, figure in figures.items()]

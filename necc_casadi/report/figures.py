@@ -118,9 +118,7 @@ def region_boundary(
 
 
 @lru_cache(maxsize=4)
-def _window(
-    design: Design, level: float, sides: tuple[Side, Side] | None
-) -> tuple[Window, Vector]:
+def _window(design: Design, level: float, sides: tuple[Side, Side] | None) -> tuple[Window, Vector]:
     """A window around Ω, and Ω's shadow in it."""
     window = domain_window(design)
     if sides is not None:

@@ -12,7 +12,7 @@ from necc_casadi.casimirs.casimirs import Casimirs
 from necc_casadi.certificate.claims.certificate import Certificate
 from necc_casadi.designs.design import Design
 from necc_casadi.designs.measures import Measures
-from necc_casadi.designs.outcome import Residual
+from necc_casadi.designs.outcome import Residual, solver_seconds
 from necc_casadi.export.sampled_loop import SampledLoop
 from necc_casadi.report.findings import Findings, attracts, global_claim, region_claim
 from necc_casadi.symbolic.expressions import to_text
@@ -175,7 +175,7 @@ def _design_rows(
             "design",
             f"{xi}; loss ε = {measures.loss:.2g} at a = {design.a:.4g}; IPOPT: "
             f"{best.explained.meaning}, {best.iterations} iterations, "
-            f"{sum(s.seconds for s in design.starts):.3f} s{starts}",
+            f"{solver_seconds(design.starts):.3f} s{starts}",
         ),
         ("minimum", f"z̄ = ({z_bar}); ‖z̄ − z*‖ = {measures.distance:.2g}; {bounds}"),
         (

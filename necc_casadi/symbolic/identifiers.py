@@ -7,6 +7,7 @@ import re
 from collections.abc import Iterable
 
 from necc_casadi.symbolic.expressions import CONSTANTS, FUNCTIONS
+from necc_casadi.texts import to_ascii
 
 __all__ = ["identifiers"]
 
@@ -26,7 +27,7 @@ def identifiers(names: Iterable[str]) -> list[str]:
     """
     result: list[str] = []
     for name in names:
-        candidate = re.sub(r"\W", "_", name, flags=re.ASCII).strip("_") or "s"
+        candidate = re.sub(r"\W", "_", to_ascii(name), flags=re.ASCII).strip("_") or "s"
         if candidate[0].isdigit():
             candidate = "s" + candidate
         reserved = (

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 
 import numpy as np
 import sympy as sp
@@ -120,4 +121,4 @@ def design(
         starts=solution.starts,
         learned=learned,
     )
-    return Design.from_text(made.text)
+    return replace(Design.from_text(made.text), starts=solution.starts)  # with their seconds

@@ -44,7 +44,7 @@ import numpy as np
 import numpy.typing as npt
 
 from necc_casadi.arrays import Vector
-from necc_casadi.designs.outcome import Start
+from necc_casadi.designs.outcome import Start, solver_seconds
 from necc_casadi.interrupts import interruptible
 from necc_casadi.lyapunov.lyapunov import Terms
 from necc_casadi.lyapunov.networks import KAPPA_MIN
@@ -147,7 +147,7 @@ class Solution:
     @property
     def seconds(self) -> float:
         """Time inside IPOPT, all starts together."""
-        return sum(start.seconds for start in self.starts)
+        return solver_seconds(self.starts)
 
 
 def train(

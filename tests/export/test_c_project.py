@@ -1,8 +1,12 @@
 """The C controller computes what CasADi computes, and nothing else happens in it."""
 
+import ctypes
+import dataclasses
 import math
 import re
 import subprocess
+import zipfile
+from xml.etree import ElementTree as ET
 
 import casadi as ca
 import numpy as np
@@ -22,9 +26,11 @@ from hypothesis import strategies as st
 from necc_casadi.errors import OptionError, OutputError
 from necc_casadi.export.c_project import export_c
 from necc_casadi.export.compiled import compile_controller, load_controller
+from necc_casadi.export.fmu import export_fmu
 from necc_casadi.export.sampled_loop import ORDERS
 from necc_casadi.lyapunov.networks import MonotonePhi, Network
 from necc_casadi.lyapunov.parameterization import Form
+from necc_casadi.model.closed_loop import ClosedLoop
 
 REJECTED = 2
 
@@ -202,8 +208,8 @@ def test_header_says_what_it_is_about(tmp_path):
     assert f'#define NECC_CERTIFICATE "{"ab" * 32}"' in text
     assert "continuous-time" in text
     assert "not saturated" in text
-    assert "z̄ is asymptotically stable" in text
-    assert "p [kg m²/s]" in text
+    assert "zbar is asymptotically stable" in text
+    assert "p [kg m^2/s]" in text
     assert "Pendulum * / with" in text
 
 
@@ -245,3 +251,123 @@ def test_without_a_compiler_the_readme_says_so_and_loading_names_the_remedy(tmp_
     assert "Not measured" in (tmp_path / "c" / "README.md").read_text(encoding="utf-8")
     with pytest.raises(OutputError, match="no C compiler"):
         load_controller(tmp_path / "c")
+
+
+# --- names, letters, and what belongs together ----------------------------------------------------
+
+
+def external(folder, compiler, prefix) -> set[str]:
+    """Macros and external functions, types and constants of a header, without those of C."""
+    listing = subprocess.run(
+        [compiler, "-std=c99", "-dM", "-E", str(folder / "necc.h")],
+        check=True, capture_output=True, text=True,
+    ).stdout  # fmt: skip
+    macros = {line.split()[1].split("(")[0] for line in listing.splitlines()}
+    own = {name for name in macros if not name.startswith("_") and name not in ("linux", "unix")}
+    target = folder / "necc.o"
+    subprocess.run([compiler, "-std=c99", "-c", folder / "necc.c", "-o", target], check=True)
+    symbols = subprocess.run(["nm", "-g", target], check=True, capture_output=True, text=True)
+    defined = set(re.findall(r"[TRDB] (\w+)$", symbols.stdout, re.MULTILINE))
+    assert {f"{prefix}_step", f"{prefix}_dimensions"} <= defined
+    return own | defined | set(re.findall(r"}} (\w+);", (folder / "necc.h").read_text()))
+
+
+@pytest.mark.parametrize("compiler", COMPILERS)
+def test_two_controllers_in_one_firmware(tmp_path, compiler):
+    """Each name begins with its prefix, so that both link; each is the controller it was."""
+    made = {"left": paper_design((5,), (7,)), "right2": design(arm_loop(), Form(*_TWO))}
+    for prefix, d in made.items():
+        export_c(d, tmp_path / prefix, prefix=prefix, measured=False)
+        names = external(tmp_path / prefix, compiler, prefix)
+        assert all(name.lower().startswith(f"{prefix}_") for name in names), names
+        for path in (tmp_path / prefix).glob("*.[ch]"):
+            assert re.findall(r"\b(?:necc|NECC)_\w+", path.read_text()) == [], path
+    main = """
+#include "left/necc.h"
+#include "right2/necc.h"
+#include <stdio.h>
+int main(void)
+{
+    left_state a;
+    right2_state b;
+    left_real x[LEFT_NX] = {0}, u[LEFT_NU];
+    right2_real y[RIGHT2_NX] = {0}, v[RIGHT2_NU];
+    left_init(&a);
+    right2_init(&b);
+    if (left_step(&a, x, u, 0) != LEFT_OK || right2_step(&b, y, v, 0) != RIGHT2_OK)
+        return 1;
+    printf("%.17g %.17g\\n", u[0], v[0]);
+    return 0;
+}
+"""
+    (tmp_path / "firmware.c").write_text(main)
+    sources = [tmp_path / "firmware.c", *(tmp_path / prefix / "necc.c" for prefix in made)]
+    subprocess.run([compiler, *STRICT, *sources, "-o", tmp_path / "firmware", "-lm"], check=True)
+    done = subprocess.run([tmp_path / "firmware"], check=True, capture_output=True, text=True)
+    expected = [d.control(np.zeros(d.loop.plant.n), d.xi_star)[0][0] for d in made.values()]
+    assert [float(v) for v in done.stdout.split()] == pytest.approx(expected, abs=1e-12)
+
+
+_TWO = (Network(2, (5,)), Network(2, (9,)))
+
+
+@pytest.mark.parametrize("prefix", ["", "1st", "_x", "a-b", "a b", "é", "x" * 32, "a\n"])
+def test_a_prefix_that_is_no_beginning_of_a_name(tmp_path, prefix):
+    with pytest.raises(OptionError, match="cannot begin"):
+        export_c(paper_design((5,), (7,)), tmp_path, prefix=prefix, measured=False)
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_code_with_a_prefix_loads_and_passes_its_own_test(tmp_path):
+    d = paper_design((5,), (7,))
+    export_c(d, tmp_path, prefix="Servo_A", measured=False)
+    loaded = load_controller(tmp_path, prefix="Servo_A")
+    assert list(loaded.init()) == list(d.xi_star)
+    with pytest.raises(OutputError, match="no code with the prefix necc"):
+        load_controller(tmp_path)
+    sources = [str(tmp_path / name) for name in ("necc.c", "selftest.c")]
+    subprocess.run(
+        [COMPILERS[0], *STRICT, *sources, "-o", str(tmp_path / "selftest"), "-lm"], check=True
+    )
+    assert subprocess.run([tmp_path / "selftest"], capture_output=True).returncode == 0
+
+
+@pytest.mark.parametrize("real", ["double", "float"])
+def test_sizes_are_read_from_the_code_itself(tmp_path, real):
+    """What comments and texts of the header say counts for nothing."""
+    export_c(paper_design((5,), (7,)), tmp_path, real=real, measured=False)
+    header = (tmp_path / "necc.h").read_text()
+    lie = "/* #define NECC_NX 9\n#define NECC_NU 9\n typedef float x; typedef double y; */\n"
+    (tmp_path / "necc.h").write_text(lie + header.replace("#define NECC_NX", "# define  NECC_NX"))
+    loaded = load_controller(tmp_path)
+    assert (loaded.n, loaded.nc, loaded.m) == (2, 1, 1)
+    assert ctypes.sizeof(loaded.real) == {"double": 8, "float": 4}[real]
+
+
+NASTY = ("ω̄*/ \\", "x\u202ey", "??/", "漢字", "p\x1b[31m")
+
+
+def test_every_letter_of_the_code_is_ascii_and_prints(tmp_path):
+    """Names as a stored design may hold them: no file is spoilt by one."""
+    loop, casimirs = pendulum_loop()
+    plant = dataclasses.replace(loop.plant, name=" ".join(NASTY), units={"q": NASTY[0]})
+    loop = ClosedLoop(plant, loop.controller)
+    d = design((loop, casimirs), Form(Network(1, (6,)), Network(1, ())), 3)
+    export_c(d, tmp_path, claims=NASTY, measured=False)
+    export_fmu(d, tmp_path / "x.fmu")
+    for path in tmp_path.iterdir():
+        if path.suffix in (".c", ".h"):
+            data = path.read_bytes()
+            assert set(data) <= {10, *range(32, 127)}, path
+        if path.suffix == ".c":
+            subprocess.run([COMPILERS[0], *STRICT, "-fsyntax-only", str(path)], check=True)
+    with zipfile.ZipFile(tmp_path / "x.fmu") as unit:
+        ET.fromstring(unit.read("modelDescription.xml"))
+
+
+def test_files_of_two_designs_do_not_compile_together(tmp_path):
+    export_c(paper_design((5,), (7,)), tmp_path, measured=False)
+    export_c(paper_design((6,), (7,)), tmp_path / "other", measured=False)
+    (tmp_path / "necc.c").write_bytes((tmp_path / "other" / "necc.c").read_bytes())
+    with pytest.raises(OutputError, match="failed"):
+        load_controller(tmp_path)

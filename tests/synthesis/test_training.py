@@ -174,6 +174,6 @@ def test_statuses_say_what_to_try_next():
         assert name.isidentifier()
         assert status.meaning
         assert status.usable or status.remedy
-    unknown = Start(0, "hard", "A_New_Status", 1, 0.0, 0.0, 1.0)
+    unknown = Start(0, "hard", "A_New_Status", 1, 0.0, 1.0)
     assert not unknown.explained.usable
     assert unknown.explained.remedy

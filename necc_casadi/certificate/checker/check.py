@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import binascii
 import hashlib
-import json
 import zlib
 from pathlib import Path
 
 from necc_casadi.certificate.checker.attraction import check_attraction, check_only_stable
+from necc_casadi.certificate.checker.code import check_code
 from necc_casadi.certificate.checker.contents import check_contents
 from necc_casadi.certificate.checker.decrease import check_decrease
 from necc_casadi.certificate.checker.equilibrium import check_equilibrium
@@ -20,12 +20,30 @@ from necc_casadi.certificate.checker.evidence import Checked, Evidence
 from necc_casadi.certificate.checker.global_stability import check_global
 from necc_casadi.certificate.checker.input_limits import check_input_limits
 from necc_casadi.certificate.checker.model import StoredDesign
+from necc_casadi.certificate.checker.reading import (
+    check_design,
+    model_hash,
+    read_folder,
+    unreadable,
+)
 from necc_casadi.certificate.checker.region.region import RegionProof, check_region
-from necc_casadi.certificate.claims.claim import CERTIFICATE_FILE, DESIGN_FILE
-from necc_casadi.certificate.claims.fields import read_fields
-from necc_casadi.errors import OutputError
 
 __all__ = ["check"]
+
+
+#: What anybody's files can raise in what reads and proves them; a fault of ours is none of these.
+_UNREADABLE = (
+    ArithmeticError,
+    AttributeError,
+    LookupError,
+    MemoryError,
+    NotImplementedError,
+    RecursionError,
+    TypeError,
+    ValueError,
+    binascii.Error,
+    zlib.error,
+)
 
 
 def check(folder: Path) -> tuple[Checked, ...]:
@@ -36,35 +54,21 @@ def check(folder: Path) -> tuple[Checked, ...]:
     OutputError
         When design.json or certificate.json is missing or unreadable.
     """
-    design_text, certificate_text = (
-        _read(folder / name) for name in (DESIGN_FILE, CERTIFICATE_FILE)
-    )
     try:
-        stored = read_fields(certificate_text)
-        evidence = Evidence(StoredDesign(json.loads(design_text)), stored)
+        design_text, stored, design = read_folder(folder)
+        check_design(design)
+        evidence = Evidence(StoredDesign(design), stored)
         results = [_as_worded(evidence, result) for result in _everything(evidence)]
         contents = check_contents(evidence, results)
-    except (
-        KeyError, TypeError, ValueError, AttributeError, IndexError, ArithmeticError,
-        binascii.Error, zlib.error,
-    ) as problem:  # fmt: skip
-        raise OutputError(
-            "output",
-            f"{folder} holds no readable certificate: {problem!r}",
-            "Run necc-design again.",
-        ) from None
+    except _UNREADABLE as problem:
+        raise unreadable(folder, problem) from None
     same = evidence.certificate.design_hash == hashlib.sha256(design_text.encode()).hexdigest()
-    text = "the certificate is about this design.json" if same else "design.json has changed"
-    return Checked("design", same, text), *results, contents
-
-
-def _read(path: Path) -> str:
-    try:
-        return path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as problem:
-        raise OutputError(
-            "output", f"{path} cannot be read: {problem}", "Name a folder of necc-design."
-        ) from None
+    whole = design.get("model_hash") == model_hash(design)
+    text = "the certificate is about this design.json, and its model is the one that was judged"
+    if not (same and whole):
+        text = "design.json has changed" if not same else "the model in design.json was edited"
+    first = Checked("design", same and whole, text)
+    return first, *results, contents, *check_code(folder, design_text)
 
 
 def _as_worded(evidence: Evidence, result: Checked) -> Checked:

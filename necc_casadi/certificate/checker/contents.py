@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from necc_casadi.certificate.checker.evidence import Checked, Evidence
-from necc_casadi.certificate.claims.statements import UNPROVED
+from necc_casadi.certificate.claims.statements import unproved
+from necc_casadi.texts import escaped
 
 __all__ = ["check_contents"]
 
@@ -17,6 +18,10 @@ _BESIDE = {
 }
 
 
+#: Names that are shown, and letters of each.
+_NAMED, _SHOWN = 10, 60
+
+
 def check_contents(evidence: Evidence, results: Sequence[Checked]) -> Checked:
     """Whether the certificate claims what was checked, once each, and says nothing beside it."""
     checked = {result.name for result in results}
@@ -25,7 +30,9 @@ def check_contents(evidence: Evidence, results: Sequence[Checked]) -> Checked:
     left += _stray(evidence)
     left += evidence.stored.unread()
     if left:
-        return Checked("contents", False, f"not proved, but in the file: {', '.join(left)}")
+        shown = ", ".join(escaped(name)[:_SHOWN] for name in left[:_NAMED])
+        more = f" and {len(left) - _NAMED} more" if len(left) > _NAMED else ""
+        return Checked("contents", False, f"not proved, but in the file: {shown}{more}")
     return Checked("contents", True, "the certificate says nothing else")
 
 
@@ -38,8 +45,9 @@ def _known(evidence: Evidence, name: str, checked: set[str]) -> bool:
     claim = evidence.claims[name]
     if claim.holds:
         return name in checked
-    opening = UNPROVED.get(name)
-    return opening is not None and claim.statement.startswith(opening)
+    model = evidence.model
+    said = unproved(model.stated_limits or ()).get(name, frozenset())
+    return claim.statement in said and not claim.data
 
 
 def _stray(evidence: Evidence) -> list[str]:

@@ -67,7 +67,6 @@ class StoredDesign:
             name: tuple(parse(v, {}) / units[name] for v in bounds)
             for name, bounds in model["domain"].items()
         }
-        self.verdict = data["verdict"]
         self.stated_limits: list[list[float]] | None = model["u_limits"]
         self.u_limits = None
         if self.stated_limits is not None:

@@ -78,8 +78,17 @@ def _of_network(network: Mapping[str, Any], inputs: list[float], energy: float) 
 
 
 def numbers(texts: Sequence[str]) -> list[float]:
-    """Hexadecimal floats."""
-    return [float.fromhex(text) for text in texts]
+    """Hexadecimal floats.
+
+    Raises
+    ------
+    ValueError
+        When one is not finite.
+    """
+    values = [float.fromhex(text) for text in texts]
+    if not all(map(math.isfinite, values)):
+        raise ValueError("a number is not finite")
+    return values
 
 
 def rationals(values: Sequence[float]) -> list[sp.Rational]:

@@ -7,13 +7,12 @@ its own fields and for nothing else.
 from __future__ import annotations
 
 import dataclasses
-import json
 import sys
 import types
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
-__all__ = ["Fields", "read_as", "read_fields"]
+__all__ = ["Fields", "read_as", "without_twins"]
 
 
 T = TypeVar("T")
@@ -59,21 +58,14 @@ def _named(value: Any) -> bool:
     return isinstance(value, dict) and "name" in value
 
 
-def read_fields(text: str) -> Fields:
-    """The object in a JSON text.
+def without_twins(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """A JSON object in which no name stands twice.
 
     Raises
     ------
     ValueError
-        When the text is no JSON object, or names an entry twice.
+        When one does.
     """
-    data = json.loads(text, object_pairs_hook=_without_twins)
-    if not isinstance(data, dict):
-        raise ValueError("not a JSON object")
-    return Fields(data)
-
-
-def _without_twins(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     result = dict(pairs)
     if len(result) < len(pairs):
         raise ValueError("an entry is named twice")

@@ -53,6 +53,8 @@ ObstacleKind = Literal["critical_point", "singularity", "domain", "input_limits"
 
 #: Cells that a region may have, and how often one of its first cells may be halved.
 MOST_CELLS, _DEEPEST = 200_000, 40
+#: States that are not minimised out, at most.
+MOST_KEPT = 3
 
 
 @dataclass(frozen=True)

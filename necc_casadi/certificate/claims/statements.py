@@ -8,27 +8,34 @@ safe side.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from decimal import ROUND_CEILING, ROUND_FLOOR, Decimal
+from typing import Literal, get_args
 
-from necc_casadi.certificate.claims.regions import Follows, Obstacle, ObstacleKind
+from necc_casadi.certificate.claims.regions import MOST_KEPT, Follows, Obstacle, ObstacleKind
 
 __all__ = [
     "DAMPING",
     "DECREASE",
     "GLOBAL",
+    "NO_NEIGHBOURHOOD",
+    "NO_REGION",
+    "ONLY_STABLE",
     "STRUCTURE",
-    "UNPROVED",
+    "TOO_MANY",
+    "Missing",
     "attraction",
     "casimir",
     "conserved",
     "equilibrium",
     "input_limits",
     "limited_by",
-    "only_stable",
+    "no_limits",
+    "not_global",
     "ranges",
     "region",
     "slope",
+    "unproved",
 ]
 
 
@@ -42,6 +49,10 @@ DECREASE = (
     "V never increases along the continuous-time, unsaturated loop, wherever the model is "
     "defined and for every D, Dc ≻ 0"
 )
+
+
+#: Of z̄ where the exact verdict at the target, which is no part of the proof, expects no more.
+ONLY_STABLE = "z̄ is stable; that motions converge to it is not claimed"
 
 
 _BOUNDED = (
@@ -76,12 +87,27 @@ _OBSTACLES: dict[ObstacleKind, str] = {
 }
 
 
-#: How a claim begins that is made beside others, but not held.
-UNPROVED = {
-    "region": "no region",
-    "input_limits": "no neighbourhood of z̄ is proved to keep u within ",
-    "global": "no global claim: ",
-}
+#: What may be missing for a global claim.
+Missing = Literal[
+    "only Φ = H + Hc + C with C = K(c) is covered",
+    "energy, structure and Casimirs are not proved to be smooth for all states",
+    "J, R or G depend on the state",
+    "the inertia is not proved positive definite for every state",
+    "V is not proved to be radially unbounded",
+    "V is not proved to have no other critical point",
+]
+
+
+NO_REGION = "no region without a proof of stability"
+
+
+NO_NEIGHBOURHOOD = (
+    "no region is proved: no neighbourhood of z̄ is proved free of other critical points"
+)
+
+
+#: More states that are not minimised out than a region may keep.
+TOO_MANY = f"{NO_NEIGHBOURHOOD}, with at most {MOST_KEPT} states that are not minimised out"
 
 
 #: Coordinates of a place that are told at most.
@@ -122,9 +148,23 @@ def conserved(function: str) -> str:
     return f"z̄ is stable, but cannot attract: the damped loop conserves {function}"
 
 
-def only_stable(witness: str) -> str:
-    """Of a stable z̄, with what the verdict in design.json says about the target."""
-    return f"z̄ is stable; by the verdict in design.json no design can make it attract: {witness}"
+def no_limits(limits: Sequence[Sequence[float]]) -> str:
+    """Where u is not proved to stay within the limits of the model."""
+    return f"no neighbourhood of z̄ is proved to keep u within {ranges(limits)}"
+
+
+def not_global(missing: Missing) -> str:
+    """Where the whole space is not proved."""
+    return f"no global claim: {missing}"
+
+
+def unproved(limits: Sequence[Sequence[float]]) -> Mapping[str, frozenset[str]]:
+    """Everything that may be said of a claim that is made beside others, but not held."""
+    return {
+        "region": frozenset([NO_REGION, NO_NEIGHBOURHOOD, TOO_MANY]),
+        "input_limits": frozenset([no_limits(limits)]),
+        "global": frozenset(map(not_global, get_args(Missing))),
+    }
 
 
 def region(height: float, obstacle: Obstacle, follows: Follows) -> str:

@@ -114,7 +114,8 @@ def prove_only_stable(design: Design) -> Claim | None:
     """Why z̄, stable because V is least there and never increases, cannot attract; None: unknown.
 
     Either a Casimir that damping cannot move, 𝒢ᵀ∇C ≡ 0 with C not constant, is conserved by the
-    damped loop; or the exact verdict at the target names motions that no V can damp.
+    damped loop; or the exact verdict at the target names motions that no V can damp: then no more
+    than stability is claimed.
     """
     conserved = _conserved(design)
     if conserved is not None:
@@ -122,7 +123,7 @@ def prove_only_stable(design: Design) -> Claim | None:
         return Claim("stability", True, text, {"conserved": conserved})
     verdict = design.verdict
     if verdict.stability == "stable" and verdict.witness:
-        return Claim("stability", True, statements.only_stable(verdict.witness))
+        return Claim("stability", True, statements.ONLY_STABLE)
     return None
 
 

@@ -11,21 +11,26 @@ import numpy as np
 from necc_casadi.certificate.claims import statements
 from necc_casadi.certificate.claims.certificate import Certificate
 from necc_casadi.certificate.claims.claim import Claim
-from necc_casadi.certificate.claims.regions import Follows, Obstacle, Stability
+from necc_casadi.certificate.claims.regions import (
+    MOST_KEPT,
+    Follows,
+    GlobalClaim,
+    Obstacle,
+    Stability,
+)
 from necc_casadi.certificate.claims.units import Units
 from necc_casadi.certificate.prover.arithmetic.intervals import Interval, self_test
 from necc_casadi.certificate.prover.arithmetic.potential import Potential
 from necc_casadi.certificate.prover.attraction import prove_attraction, prove_only_stable
 from necc_casadi.certificate.prover.decrease import prove_decrease
 from necc_casadi.certificate.prover.equilibrium import Equilibrium, prove_equilibrium
-from necc_casadi.certificate.prover.global_stability import GlobalStability, prove_global_stability
+from necc_casadi.certificate.prover.global_stability import prove_global_stability
 from necc_casadi.certificate.prover.invariant_sets import largest_invariant_set_is_critical
 from necc_casadi.certificate.prover.region.region import (
     RegionProof,
     prove_region,
     prove_region_within_limits,
 )
-from necc_casadi.certificate.prover.region.split import MOST_KEPT
 from necc_casadi.designs.design import Design
 
 __all__ = ["certify"]
@@ -112,23 +117,22 @@ def _extended(
     """The certificate with the whole space, the region and the input limits."""
     stability = certificate.stability
     if stability is None:
-        missing = Claim("region", False, "no region without a proof of stability")
+        missing = Claim("region", False, statements.NO_REGION)
         return replace(certificate, claims=(*certificate.claims, missing))
     reduced = Potential(potential.design, design.momenta)
     z_bar = equilibrium.box[list(reduced.active)]
     everywhere = prove_global_stability(reduced, z_bar, stability == "asymptotic")
-    proof = _region(reduced, z_bar, everywhere.claim is not None)
+    proof = _region(reduced, z_bar, isinstance(everywhere, GlobalClaim))
     claims = []
-    if proof is not None or everywhere.claim is None:
+    if proof is not None or not isinstance(everywhere, GlobalClaim):
         claims.append(_region_claim(design, proof, stability))
     if design.loop.plant.u_limits is not None:
         claims.append(_limits_claim(design, proof))
     claims.append(_global_claim(everywhere))
-    follows = None if everywhere.claim is None else everywhere.claim.follows
     found = replace(
         certificate,
         claims=(*certificate.claims, *claims),
-        is_global=follows == "converges",
+        is_global=isinstance(everywhere, GlobalClaim) and everywhere.follows == "converges",
     )
     if proof is None:
         return found
@@ -175,10 +179,10 @@ def _reach(design: Design, proof: RegionProof) -> dict[str, tuple[float, float]]
     return dict(zip(design.loop.states, zip(lo, hi, strict=True), strict=True))
 
 
-def _global_claim(found: GlobalStability) -> Claim:
-    if found.claim is None:
-        return Claim("global", False, f"{statements.UNPROVED['global']}{found.missing}")
-    return Claim("global", True, statements.GLOBAL[found.claim.follows], found.claim.data)
+def _global_claim(found: GlobalClaim | statements.Missing) -> Claim:
+    if not isinstance(found, GlobalClaim):
+        return Claim("global", False, statements.not_global(found))
+    return Claim("global", True, statements.GLOBAL[found.follows], found.data)
 
 
 def _region_claim(design: Design, proof: RegionProof | None, stability: Stability) -> Claim:
@@ -192,10 +196,7 @@ def _region_claim(design: Design, proof: RegionProof | None, stability: Stabilit
 
 def _no_region(design: Design) -> str:
     left = design.loop.n - len(design.momenta)
-    reason = "no neighbourhood of z̄ is proved free of other critical points"
-    if left > MOST_KEPT:
-        reason += f", with at most {MOST_KEPT} states that are not minimised out"
-    return f"{statements.UNPROVED['region']} is proved: {reason}"
+    return statements.TOO_MANY if left > MOST_KEPT else statements.NO_NEIGHBOURHOOD
 
 
 def _follows(design: Design, proof: RegionProof, stability: Stability) -> Follows:
@@ -209,8 +210,7 @@ def _follows(design: Design, proof: RegionProof, stability: Stability) -> Follow
 def _limits_claim(design: Design, proof: RegionProof | None) -> Claim:
     limits, energy = design.loop.plant.u_limits or (), design.units.energy
     if proof is None or proof.level_u is None:
-        text = f"{statements.UNPROVED['input_limits']}{statements.ranges(limits)}"
-        return Claim("input_limits", False, text)
+        return Claim("input_limits", False, statements.no_limits(limits))
     height = energy * proof.height(proof.level_u)
     whole = proof.level_u == proof.component.level
     text = statements.input_limits(limits, height, whole)

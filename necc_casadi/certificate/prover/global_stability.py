@@ -9,13 +9,13 @@ and periodic in every state that does not enter it as a square.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from itertools import islice
 
 import numpy as np
 import sympy as sp
 
 from necc_casadi.certificate.claims.regions import Follows, GlobalClaim, rows
+from necc_casadi.certificate.claims.statements import Missing
 from necc_casadi.certificate.prover.arithmetic.boxes import matrix_enclosure
 from necc_casadi.certificate.prover.arithmetic.definite import positive_definite
 from necc_casadi.certificate.prover.arithmetic.intervals import Interval
@@ -30,7 +30,7 @@ from necc_casadi.certificate.prover.region.reduced import Reduced
 from necc_casadi.certificate.prover.region.split import Splits
 from necc_casadi.designs.design import Design
 
-__all__ = ["GlobalStability", "prove_global_stability"]
+__all__ = ["prove_global_stability"]
 
 
 #: Ways to split the states that are tried.
@@ -41,48 +41,39 @@ _SPLITS = 3
 _ROOM = 0.02
 
 
-@dataclass(frozen=True)
-class GlobalStability:
-    """What is proved of the whole space, or what is missing."""
-
-    missing: str | None  # None: nothing is
-    claim: GlobalClaim | None = None
-
-
 def prove_global_stability(
     potential: Potential, z_bar: Interval, attracts: bool
-) -> GlobalStability:
-    """Whether V has one critical point and is radially unbounded, and what follows.
+) -> GlobalClaim | Missing:
+    """One critical point, V radially unbounded, and what follows; or what is missing.
 
     `potential` has the momenta at rest; `z_bar` (d,) holds z̄ in the other states.
     """
     design = potential.design
     missing = _beyond_scope(design)
     if missing is not None:
-        return GlobalStability(missing)
+        return missing
     if not _stays_positive(design, potential.resting):
-        return GlobalStability("the inertia is not proved positive definite for every state")
+        return "the inertia is not proved positive definite for every state"
     box = critical_box(potential)
     if box is None:
-        return GlobalStability("V is not proved to be radially unbounded")
+        return "V is not proved to be radially unbounded"
     follows: Follows = "stable"
     if attracts:
         critical = largest_invariant_set_is_critical(design, potential.resting, None)
         follows = "converges" if critical else "invariant"
     splits = Splits(potential)
-    others = "V is not proved to have no other critical point"
+    others: Missing = "V is not proved to have no other critical point"
     for reduced in islice(splits.candidates(box), _SPLITS):
         if _has_others(reduced, box, z_bar):
-            return GlobalStability(others)
+            return others
         core = _core_of_the_one(reduced, box, z_bar)
         if core is not None:
             kept, floor = reduced.kept, rows(reduced.floor)
-            claim = GlobalClaim(potential.active, kept, floor, splits.bends, sides(core), follows)
-            return GlobalStability(None, claim)
-    return GlobalStability(others)
+            return GlobalClaim(potential.active, kept, floor, splits.bends, sides(core), follows)
+    return others
 
 
-def _beyond_scope(design: Design) -> str | None:
+def _beyond_scope(design: Design) -> Missing | None:
     """What the structure of the loop lacks for a global claim."""
     loop, form = design.loop, design.form
     if form.phi is not None or form.betas:

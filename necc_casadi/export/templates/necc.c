@@ -1,5 +1,10 @@
-/* necc.c: see necc.h. */
+/* necc.c: see necc.h. Design @design_hash@.
+ */
 #include "necc.h"
+
+#ifndef @guard@
+#error "necc.c and necc.h belong to different designs."
+#endif
 
 #include <float.h>
 #include <math.h>
@@ -12,6 +17,8 @@
 #if FLT_EVAL_METHOD == 1 || FLT_EVAL_METHOD == 2
 #error "necc.c needs arithmetic in its own type: on 32-bit x86 add -msse2 -mfpmath=sse."
 #endif
+
+const int necc_dimensions[4] = {NECC_NX, NECC_NXI, NECC_NU, (int)sizeof(necc_real)};
 
 #define LANES @lanes@
 #define WIDTH @width@ /* the widest layer, in whole LANES */

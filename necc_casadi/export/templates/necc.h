@@ -12,6 +12,7 @@
 
 #define NECC_INTERFACE 1 /* version of the functions below */
 #define NECC_DESIGN "@design_hash@"
+#define @guard@
 @certificate_define@
 #define NECC_NX @n@ /* plant states */
 #define NECC_NXI @nc@ /* controller states */
@@ -37,6 +38,9 @@ typedef struct {
 #define NECC_SATURATED 1 /* u was clipped@limits@ */
 #define NECC_REJECTED 2 /* x, xi or dt not finite, dt < 0, or overflow: u = 0, state kept */
 #define NECC_NOT_CONVERGED 4 /* no minimum of V(x0, .) was reached: xi is the best found */
+
+/* For programs that load the code: NECC_NX, NECC_NXI, NECC_NU, sizeof(necc_real). */
+extern const int necc_dimensions[4];
 
 /* xi at the designed equilibrium. */
 void necc_init(necc_state *state);

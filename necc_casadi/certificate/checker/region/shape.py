@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 
-from necc_casadi.certificate.claims.regions import GlobalClaim, Region
+from necc_casadi.certificate.claims.regions import MOST_KEPT, GlobalClaim, Region
 
 __all__ = ["check_region_shape", "check_split_shape"]
 
-#: Kept states, and first cells a side, at most.
-_MOST_KEPT, _MOST_PARTS = 3, 128
+#: First cells a side, at most.
+_MOST_PARTS = 128
 
 
 def check_split_shape(claim: Region | GlobalClaim, count: int) -> None:
@@ -28,7 +28,7 @@ def check_split_shape(claim: Region | GlobalClaim, count: int) -> None:
         and all(0 <= i < count for i in active)
         and list(kept) == sorted(set(kept))
         and all(0 <= i < len(active) for i in kept)
-        and len(kept) <= _MOST_KEPT
+        and len(kept) <= MOST_KEPT
         and len(floor) == gone
         and all(len(row) == gone for row in floor)
         and all(floor[i][j] == floor[j][i] for i in range(gone) for j in range(i))

@@ -16,7 +16,7 @@ import numpy as np
 import sympy as sp
 
 from necc_casadi.arrays import Vector
-from necc_casadi.certificate.claims.regions import Bends
+from necc_casadi.certificate.claims.regions import MOST_KEPT, Bends
 from necc_casadi.certificate.prover.arithmetic.boxes import matrix_enclosure, subdivide
 from necc_casadi.certificate.prover.arithmetic.definite import positive_definite
 from necc_casadi.certificate.prover.arithmetic.hessian_floor import sharpest_floor
@@ -25,14 +25,12 @@ from necc_casadi.certificate.prover.arithmetic.potential import Potential
 from necc_casadi.certificate.prover.region.critical_box import is_periodic
 from necc_casadi.certificate.prover.region.reduced import Reduced
 
-__all__ = ["MOST_KEPT", "Splits"]
+__all__ = ["Splits"]
 
 #: Shares of the least of the matrices below V_ee that are tried for F, the largest first.
 _SHARES = (1 - 1e-9, 0.999, 0.98, 0.9, 0.7, 0.4, 0.1)
 #: Cells of the states on which V_ee depends, in all; half a period, a little more than π.
 _CELLS, _HALF_PERIOD = 4096, 3.15
-#: States that cells can cover at most.
-MOST_KEPT = 3
 
 
 @dataclass(frozen=True, eq=False)
