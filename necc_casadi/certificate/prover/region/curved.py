@@ -16,6 +16,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations
+from typing import Literal
 
 import numpy as np
 import sympy as sp
@@ -60,7 +61,7 @@ class Face:
 
     state: int  # position among the active states
     value: sp.Expr
-    kind: str  # pole of the loop, or the user's domain
+    kind: Literal["singularity", "domain"]  # a pole of the loop, or a bound of the user's
 
 
 @dataclass(frozen=True, eq=False)
@@ -229,10 +230,9 @@ class Curved:
         c = [a if is_zero(a - b) is True else b for a, b in zip(c, plain, strict=True)]
         free = [k for k in range(len(self.symbols)) if k != face.state]
         for k in list(free):
-            angle = next((a for a in self.angles if self._are_one(c, a, k)), None)
             still = all(is_zero(sp.diff(e, self.symbols[k])) is True for e in c)
-            removable = k in self.angles or k >= self.r
-            if removable and (still or (angle is not None and angle in free)):
+            shifted = any(a in free and self._are_one(c, a, k) for a in self.angles)
+            if (k in self.angles or k >= self.r) and (still or shifted):
                 free.remove(k)
                 c = [e.subs(self.symbols[k], 0) for e in c]
         return c, free
