@@ -79,9 +79,8 @@ def best_coordinates(terms: Terms, x_star: Vector, guess: Vector, scales: Sizes)
 
 
 def _condition(terms: Terms, xi: ca.SX) -> ca.SX:
-    """log ‖Gc‖²‖Gc⁺‖², infinite where Gc is singular or has a pole; 0 where Gc is constant."""
+    """Logarithm of ‖Gc‖²‖Gc⁺‖², infinite where Gc is singular or has a pole."""
     Gc = terms.Gc(xi)
-    if Gc.is_constant():
-        return ca.SX(0)
     gram = Gc.T @ Gc
-    return ca.log(ca.trace(gram) * ca.trace(ca.inv(gram)))
+    result: ca.SX = ca.log(ca.trace(gram) * ca.trace(ca.inv(gram)))
+    return result

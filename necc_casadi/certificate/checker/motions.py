@@ -18,7 +18,6 @@ from necc_casadi.certificate.checker.arithmetic.definite import positive
 from necc_casadi.certificate.checker.arithmetic.hessian_floor import hessian_floor
 from necc_casadi.certificate.checker.arithmetic.potential import Energy
 from necc_casadi.certificate.checker.momenta import are_momenta
-from necc_casadi.certificate.checker.model import StoredDesign
 from necc_casadi.certificate.claims.motions import Rule, Step
 from necc_casadi.symbolic.zero import is_zero
 
@@ -160,7 +159,7 @@ class _Solution:
         """Whether a form is constant."""
         return self.forms.holds(form, [self._unit(i) for i in sorted(self.steady)])
 
-    def _used(self, expr: sp.Expr) -> set[int]:
+    def _used(self, expr: sp.Expr | sp.Matrix) -> set[int]:
         return {i for i, v in enumerate(self.z) if expr.has(v)}
 
     def _moved(self) -> list[int]:
@@ -304,7 +303,7 @@ class _Solution:
 
 
 def _fractions(row: sp.Matrix) -> Form:
-    return [Fraction(int(e.p), int(e.q)) for e in row]
+    return [Fraction(int(e.p), int(e.q)) for e in row if isinstance(e, sp.Rational)]
 
 
 #: Of one value, and analytic but for isolated points and their limits.
@@ -317,6 +316,6 @@ def _single_valued(expr: sp.Expr) -> bool:
         return True
     if expr.is_Add or expr.is_Mul:
         return all(_single_valued(a) for a in expr.args)
-    if expr.is_Pow:
+    if isinstance(expr, sp.Pow):
         return bool(expr.exp.is_Integer) and _single_valued(expr.base)
     return expr.func.__name__ in _SINGLE_VALUED and _single_valued(expr.args[0])

@@ -61,27 +61,31 @@ class CurvedRegion:
         to z̄ inside {V ≤ c} is looked for, down the slope and then straight. Ω holds no critical
         point but z̄, so that all ways down lead there; angles count as they stand.
         """
+
+        def value(v: Vector) -> float:
+            return V(v.tolist())
+
         at, end = np.asarray(z, float), np.asarray(self.center, float)
-        if not V(at) <= self.level:
+        if not value(at) <= self.level:
             return False
         step = 0.1
         for _ in range(_DESCENTS):
             ways = at + np.linspace(0.0, 1.0, _POINTS)[:, None] * (end - at)
-            if all(V(way) <= self.level for way in ways):
+            if all(value(way) <= self.level for way in ways):
                 return True
-            slope = _slope(V, at)
+            slope = _slope(value, at)
             size = float(np.linalg.norm(slope))
             lower = at - step * slope / (size or 1.0)
-            while step > 1e-9 and not V(lower) <= V(at) - 0.1 * step * size:
+            while step > 1e-9 and not value(lower) <= value(at) - 0.1 * step * size:
                 step /= 2
                 lower = at - step * slope / (size or 1.0)
-            if not V(lower) < V(at):
+            if not value(lower) < value(at):
                 return False
             at, step = lower, min(0.1, 2 * step)
         return False
 
 
-def _slope(V: Callable[[Sequence[float]], float], z: Vector) -> Vector:
+def _slope(V: Callable[[Vector], float], z: Vector) -> Vector:
     """∇V by central differences."""
     steps = 1e-6 * np.maximum(1.0, np.abs(z))
     units = np.eye(len(z)) * steps[:, None]

@@ -17,7 +17,6 @@ from functools import cached_property
 import numpy as np
 import sympy as sp
 from flint import fmpq, fmpq_mat
-from sympy.matrices.exceptions import NonInvertibleMatrixError
 
 from necc_casadi.certificate.claims.motions import Rule, Step
 from necc_casadi.certificate.prover.arithmetic.boxes import matrix_enclosure, subdivide
@@ -89,17 +88,19 @@ class _Known:
     @cached_property
     def _inertia(self) -> sp.Matrix:
         """A⁻¹, so that s = A⁻¹w_s."""
+        return self._kinetic.inv().applyfunc(sp.simplify) if self.resting else sp.zeros(0)
+
+    @cached_property
+    def _kinetic(self) -> sp.Matrix:
+        """A."""
         s = [self.design.loop.z[i] for i in self.resting]
-        A = sp.Matrix(sp.hessian(self.design.loop.plant.H, s)) if s else sp.zeros(0)
-        return sp.Matrix(A.inv().applyfunc(sp.simplify)) if s else A
+        return sp.hessian(self.design.loop.plant.H, s)
 
     @cached_property
     def has_inertia(self) -> bool:
         """Whether A⁻¹ is finite, so that A is regular."""
-        try:
-            return all(self._finite(e) for e in self._inertia)
-        except NonInvertibleMatrixError:
-            return False
+        regular = not self.resting or is_zero(self._kinetic.det()) is False
+        return regular and all(self._finite(e) for e in self._inertia)
 
     @cached_property
     def _pull(self) -> list[sp.Expr]:
@@ -108,7 +109,7 @@ class _Known:
         U = loop.plant.H.subs({loop.z[i]: 0 for i in self.resting})
         return [sp.diff(U, s) for s in loop.z]
 
-    def _states_in(self, expr: sp.Expr) -> set[int]:
+    def _states_in(self, expr: sp.Expr | sp.Matrix) -> set[int]:
         return {i for i, s in enumerate(self.design.loop.z) if s in expr.free_symbols}
 
     def _is_controller(self, i: int) -> bool:
@@ -388,7 +389,7 @@ def _is_analytic(expr: sp.Expr) -> bool:
         part.is_Atom
         or part.is_Add
         or part.is_Mul
-        or (part.is_Pow and part.exp.is_Integer)
+        or (isinstance(part, sp.Pow) and part.exp.is_Integer)
         or isinstance(part, _ANALYTIC)
         for part in sp.preorder_traversal(expr)
     )

@@ -1,4 +1,4 @@
-"""Regions where curved Casimirs alone shape V; :mod:`necc_casadi.certificate.claims.curved` says how.
+"""Regions where curved Casimirs alone shape V; what is claimed stands in the claims.
 
 At a critical point ∇CᵀM = 0, M = Jcl − Rcl, so that ∇(H + Hc)ᵀM = 0; with p = 0 this is
 ∇HcᵀM_ξ = 0, M_ξ the rows of ξ, hence ξ = ξ̄ where a block of M_ξ is regular. On that fibre
@@ -100,7 +100,7 @@ class Curved:
 
     @cached_property
     def symbols(self) -> list[sp.Symbol]:
-        """y = (q, ξ)."""
+        """The states y = (q, ξ)."""
         return [self.potential.design.loop.z[i] for i in self.potential.active]
 
     @cached_property
@@ -177,7 +177,11 @@ class Curved:
         det = _block(self.potential, self.columns).det()
         short = sp.simplify(det)
         det = short if is_zero(short - det) is True else det
-        return stays_defined([*M, *ports, 1 / sp.numer(sp.together(det))], ends, wide, turning)
+        closed = {s: box[k] for k, s in enumerate(self.symbols)}
+        entries = [*M, *ports, 1 / sp.numer(sp.together(det))]
+        return stays_defined(entries, ends, wide, turning) and stays_defined(
+            self.casimirs, {}, closed, turning
+        )
 
     def _stays_in_bounds(self, height: float) -> bool:
         """Whether ξ stays in the user's domain; the momenta are looked at with their inertia."""
@@ -195,7 +199,10 @@ class Curved:
         p = [loop.z[i] for i in self.potential.resting]
         A = sp.hessian(loop.plant.H, p) if p else sp.eye(1)
         used = [k for k, s in enumerate(self.symbols) if A.has(s)]
-        turned = [A.subs(s, s + 2 * sp.pi) - A for s in (self.symbols[k] for k in used if k in self.angles)]
+        turned = [
+            A.subs(s, s + 2 * sp.pi) - A
+            for s in (self.symbols[k] for k in used if k in self.angles)
+        ]
         if not all(is_zero(e) is True for matrix in turned for e in matrix):
             return False
         parts = max(4, int(4096 ** (1 / max(1, len(used)))))
@@ -284,7 +291,10 @@ class Curved:
             for k in range(len(self.symbols))
         }
         jets = [_as_jet(j, own[0]) for j in expression_jets(c, variables)]  # type: ignore[arg-type]
-        terms = [(j + (-self.c_bar[i]), w) for i, (j, w) in enumerate(zip(jets, self.floor_k, strict=True))]
+        terms = [
+            (j + (-self.c_bar[i]), w)
+            for i, (j, w) in enumerate(zip(jets, self.floor_k, strict=True))
+        ]
         terms += [
             (own[free.index(k)] + (-self.y_bar[k]), w)
             for k, w in enumerate(self.floor_h, start=self.r)
@@ -359,9 +369,7 @@ def _regular_columns(potential: Potential, z_bar: Interval) -> tuple[int, ...] |
     return found
 
 
-def _faces(
-    potential: Potential, z_bar: Interval
-) -> tuple[tuple[Face, Face], ...] | None:
+def _faces(potential: Potential, z_bar: Interval) -> tuple[tuple[Face, Face], ...] | None:
     """Both faces of each state q that has some; None where one has an end on one side alone."""
     design = potential.design
     loop, functions = design.loop, design.casimirs.functions
@@ -384,7 +392,11 @@ def _faces(
         lower, upper = ends
         if lower is not None and upper is not None:
             pairs.append((lower, upper))
-        elif lower is not None or upper is not None or not all(_repeats(c, symbol) for c in functions):
+        elif (
+            lower is not None
+            or upper is not None
+            or not all(_repeats(c, symbol) for c in functions)
+        ):
             return None
     return tuple(pairs)
 

@@ -12,7 +12,7 @@ from functools import cached_property
 import numpy as np
 import sympy as sp
 
-from necc_casadi.arrays import Truth, Vector
+from necc_casadi.arrays import Indices, Truth, Vector
 from necc_casadi.certificate.claims.curved import CurvedRegion
 from necc_casadi.certificate.prover.arithmetic.intervals import Interval
 from necc_casadi.certificate.prover.arithmetic.jets import constant
@@ -119,10 +119,14 @@ class _Search:
         free = rows < 0
         back[free] |= self._leads_back((Y - way)[free])
         heights = np.where(back & (saddle | ~free) & np.isfinite(V), V, np.inf)
-        found = [o for number in range(-1, len(self.faces)) for o in self._least(number, rows, heights, Y)]
+        found = [
+            o
+            for number in range(-1, len(self.faces))
+            for o in self._least(number, rows, heights, Y)
+        ]
         return min([*found, *self._momenta()], key=lambda o: o.level, default=None)
 
-    def _least(self, number: int, rows: Vector, heights: Vector, Y: Vector) -> list[Obstacle]:
+    def _least(self, number: int, rows: Indices, heights: Vector, Y: Vector) -> list[Obstacle]:
         """What the points of one face, or the free ones, found."""
         at = int(np.argmin(np.where(rows == number, heights, np.inf)))
         if rows[at] != number or not np.isfinite(heights[at]):
@@ -144,13 +148,13 @@ class _Search:
         return Y
 
     def _settled(self, Y: Vector, held: Truth, down: Truth) -> tuple[Vector, Vector, Truth, Vector]:
-        """(places, V, saddles, ways off them) after Newton's steps, `down` the slope or to ∇V = 0."""
+        """Places, V, saddles among them, ways off: after steps `down`, or else to ∇V = 0."""
         length = np.full(len(Y), 0.5)
         best, lowest, trial = Y, np.full(len(Y), np.inf), Y
         step = np.zeros_like(Y)
         for _ in range(_STEPS):
             V, grad, hess = self._landscape.jets(trial)
-            better = ~down | (V < lowest)
+            better = ~down | (lowest > V)
             best = np.where(better[:, None], trial, best)
             lowest = np.where(better, V, lowest)
             length = np.where(better, np.minimum(0.5, 2 * length), length / 4)
@@ -159,7 +163,7 @@ class _Search:
             size = np.maximum(np.abs(step).max(1), 1e-300)
             trial = best + step * np.minimum(1.0, length / size)[:, None]
         V, grad, hess = self._landscape.jets(best)
-        usable = np.isfinite(hess).all((1, 2))
+        usable: Truth = np.asarray(np.isfinite(hess).all((1, 2)))
         values, vectors = np.linalg.eigh(np.where(usable[:, None, None], hess, np.eye(Y.shape[1])))
         flat = usable & (np.abs(grad).max(1) < _FLAT) & self._is_between(best, _NEAR)
         saddle = flat & (values[:, 0] < 1e-6 * np.abs(values).max(1))
@@ -167,7 +171,7 @@ class _Search:
 
     def _steps(self, grad: Vector, hess: Vector, held: Truth, down: Truth) -> Vector:
         """Newton's steps in what is not held; down the slope curvatures count by their sizes."""
-        usable = np.isfinite(hess).all((1, 2)) & np.isfinite(grad).all(1)
+        usable: Truth = np.asarray(np.isfinite(hess).all((1, 2)) & np.isfinite(grad).all(1))
         fixed = held[:, :, None] | held[:, None, :]
         safe = np.where(usable[:, None, None], np.where(fixed, 0.0, hess), 0.0)
         values, vectors = np.linalg.eigh(safe)
@@ -185,7 +189,10 @@ class _Search:
         for _ in range(_DOWN):
             _, grad, hess = self._landscape.jets(Y)
             step = self._steps(grad, hess, nothing, every)
-            Y = Y + step * np.minimum(1.0, _SHORT / np.maximum(np.abs(step).max(1), 1e-300))[:, None]
+            Y = (
+                Y
+                + step * np.minimum(1.0, _SHORT / np.maximum(np.abs(step).max(1), 1e-300))[:, None]
+            )
             inside = inside & self._is_between(Y, 0.0)
         off = Y - self._y_bar
         off[:, self.curved.angles] = np.angle(np.exp(1j * off[:, self.curved.angles]))

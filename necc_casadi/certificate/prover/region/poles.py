@@ -7,6 +7,7 @@ an interval between two such ends it is proved to keep off 0.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from fractions import Fraction
 
 import numpy as np
 import sympy as sp
@@ -34,14 +35,16 @@ Excused = Callable[[Interval], Truth]
 
 
 def denominators(entries: Iterable[sp.Expr]) -> list[sp.Expr] | None:
-    """Factors outside of whose zeros all entries are defined; None where that is not all it takes."""
+    """Factors off whose zeros all entries are defined; None where that is not all it takes."""
     found: dict[sp.Expr, None] = {}
     for entry in entries:
         plain = sp.sympify(entry).replace(sp.tan, lambda a: sp.sin(a) / sp.cos(a))
         plain = plain.replace(sp.tanh, lambda a: sp.sinh(a) / sp.cosh(a))
         for part in sp.preorder_traversal(plain):
-            whole = part.is_Pow and part.exp.is_Integer
-            if not (part.is_Atom or part.is_Add or part.is_Mul or whole or isinstance(part, _KNOWN)):
+            whole = isinstance(part, sp.Pow) and part.exp.is_Integer
+            if not (
+                part.is_Atom or part.is_Add or part.is_Mul or whole or isinstance(part, _KNOWN)
+            ):
                 return None
         # a quotient inside of a function is undefined wherever its own denominator vanishes
         inner = [a for f in plain.atoms(sp.Function) for a in f.args]
@@ -63,7 +66,7 @@ def poles_around(
 
 
 def _nearest(factor: sp.Expr, symbol: sp.Symbol, value: float, sign: int) -> sp.Expr | None:
-    f = sp.lambdify(symbol, factor, "numpy")
+    f = sp.lambdify([symbol], factor, "numpy")
     with np.errstate(all="ignore"):
         places = value + sign * _DISTANCES
         values = np.asarray(f(places) + 0.0 * places, float)
@@ -91,11 +94,13 @@ def _refined(factor: sp.Expr, symbol: sp.Symbol, start: float, crosses: bool) ->
 
 def _exact(factor: sp.Expr, symbol: sp.Symbol, root: float, sign: int) -> sp.Expr:
     for unit in (sp.pi, sp.Integer(1)):
-        guess = unit * sp.Rational(root / float(unit)).limit_denominator(_LARGEST)
+        near = Fraction(root / float(unit)).limit_denominator(_LARGEST)
+        guess = unit * sp.Rational(near.numerator, near.denominator)
         close = abs(float(guess) - root) < 1e-6 * max(1.0, abs(root))
         if close and is_zero(factor.subs(symbol, guess)) is True:
             return guess
-    return sp.Rational(root - sign * _INSIDE * max(1.0, abs(root)))
+    inside = Fraction(root - sign * _INSIDE * max(1.0, abs(root)))
+    return sp.Rational(inside.numerator, inside.denominator)
 
 
 def stays_defined(
@@ -141,7 +146,7 @@ def _between(factor: sp.Expr, symbol: sp.Symbol, lo: sp.Expr, hi: sp.Expr) -> bo
     Near a zero of order k at an end it does where its k-th derivative does not vanish.
     """
     first, last = constant(lo), constant(hi)
-    slopes = [factor, sp.diff(factor, symbol), sp.diff(factor, symbol, 2)]
+    slopes = [factor, sp.diff(factor, symbol), sp.diff(factor, symbol, symbol)]
 
     def order(end: sp.Expr) -> int:
         values = [is_zero(s.subs(symbol, end)) for s in slopes]
