@@ -19,6 +19,7 @@ from typing import Literal
 import numpy as np
 
 from necc_casadi.arrays import Vector
+from necc_casadi.symbolic.expressions import parse
 
 __all__ = ["CurvedRegion", "Faces"]
 
@@ -46,7 +47,7 @@ class CurvedRegion:
     height: float  # h ≥ c − V(z̄)
     faces: tuple[Faces, ...]
     columns: tuple[int, ...]  # of the rows of ξ in Jcl − Rcl: a regular block
-    center: tuple[float, ...]  # near z̄ (N,)
+    center: tuple[float, ...]  # near z̄, in the active states
     method: Literal["curved"] = "curved"
 
     @property
@@ -65,8 +66,9 @@ class CurvedRegion:
         def value(v: Vector) -> float:
             return V(v.tolist())
 
-        at, end = np.asarray(z, float), np.asarray(self.center, float)
-        if not value(at) <= self.level:
+        at, end = np.asarray(z, float), np.zeros(len(z))
+        end[list(self.active)] = self.center
+        if not (self._may_hold(at) and value(at) <= self.level):
             return False
         step = 0.1
         for _ in range(_DESCENTS):
@@ -83,6 +85,13 @@ class CurvedRegion:
                 return False
             at, step = lower, min(0.1, 2 * step)
         return False
+
+    def _may_hold(self, z: Vector) -> bool:
+        """Whether q is between its faces and ξ in the ellipsoid f ≤ h."""
+        sides = [(self.active[f.state], parse(f.lo), parse(f.hi)) for f in self.faces]
+        off = (z[list(self.active)] - self.center)[self.r :]
+        rise = float(np.asarray(self.floor_h) @ off**2) / 2
+        return rise <= self.height and all(float(lo) < z[i] < float(hi) for i, lo, hi in sides)
 
 
 def _slope(V: Callable[[Vector], float], z: Vector) -> Vector:

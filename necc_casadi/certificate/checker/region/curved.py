@@ -54,6 +54,7 @@ class CurvedProof:
         region = self.region
         return [
             ("V is a sum in as many Casimirs as states q, and in ξ", self._separate),
+            ("the centre is z̄", self._centred),
             ("K and Hc are as strongly convex as claimed", self._floored),
             ("V(z̄) < c ≤ V(z̄) + h", self._rises),
             ("each state q has faces around z̄, or is an angle", self._faced),
@@ -95,6 +96,10 @@ class CurvedProof:
         flat = not sp.sympify(model.H).subs(at_rest).free_symbols
         plain = energy.phi is None and not energy.betas
         return counted and flat and plain and are_momenta(model, self._resting)
+
+    def _centred(self) -> bool:
+        pairs = zip(self.z_bar, self.region.center, strict=True)
+        return all(bool(z.contains(arb(v))) for z, v in pairs)
 
     def _floored(self) -> bool:
         form, region = self.model.form, self.region

@@ -154,7 +154,7 @@ class Curved:
             level, self.potential.active, tuple(self.floor_k.tolist()),
             tuple(self.floor_h.tolist()), height,
             tuple(Faces(a.state, to_text(a.value), to_text(b.value)) for a, b in self.faces),
-            self.columns, tuple(self.z_bar.mid.tolist()),
+            self.columns, tuple(self.y_bar.mid.tolist()),
         )  # fmt: skip
 
     def _proved(self, height: float) -> bool:
