@@ -131,12 +131,14 @@ class _Search:
         at = int(np.argmin(np.where(rows == number, heights, np.inf)))
         if rows[at] != number or not np.isfinite(heights[at]):
             return []
-        r, active = self.curved.r, self.curved.potential.active
-        level, s, e = float(heights[at]), Y[at, :r], Y[at, r:]
-        if number < 0:
-            return [Obstacle("critical_point", level, s, e)]
-        face = self.faces[number]
-        return [Obstacle(face.kind, level, s, e, active[face.state])]
+        kind = "critical_point" if number < 0 else self.faces[number].kind
+        return [Obstacle(kind, float(heights[at]), self._whole(Y[at]))]
+
+    def _whole(self, y: Vector) -> Vector:
+        """All states (N,), the momenta at rest."""
+        z = np.zeros(self.curved.potential.design.loop.n)
+        z[list(self.curved.potential.active)] = y
+        return z
 
     def _starts(self, count: int) -> Vector:
         """States around the fibre, all over q; each eighth one is near z̄."""
@@ -206,7 +208,7 @@ class _Search:
 
     def _momenta(self) -> list[Obstacle]:
         """Bounds that the user names for momenta: ½ b²/(A⁻¹)ᵢᵢ above V(z̄), at z̄'s inertia."""
-        design, potential, r = self.curved.potential.design, self.curved.potential, self.curved.r
+        design, potential = self.curved.potential.design, self.curved.potential
         p = [design.loop.z[i] for i in potential.resting]
         at = dict(zip(design.loop.z, self.curved.z_bar.mid, strict=True))
         result = []
@@ -214,8 +216,9 @@ class _Search:
             if str(s) in design.loop.plant.domain:
                 lo, hi = (float(b) for b in design.loop.plant.domain[str(s)])
                 A = np.array(sp.hessian(design.loop.plant.H, p).subs(at).evalf(), float)
-                rise = min(-lo, hi) ** 2 / (2 * np.linalg.inv(A)[k, k])
-                place = self._y_bar[:r], self._y_bar[r:]
-                level = float(self.curved.bottom.mid) + rise
-                result.append(Obstacle("domain", level, *place, potential.resting[k]))
+                bound, inertia = (lo if -lo < hi else hi), np.linalg.inv(A)
+                z = self._whole(self._y_bar)
+                z[list(potential.resting)] = inertia[:, k] * bound / inertia[k, k]
+                level = float(self.curved.bottom.mid) + bound**2 / (2 * inertia[k, k])
+                result.append(Obstacle("domain", level, z))
         return result
