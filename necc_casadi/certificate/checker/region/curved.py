@@ -175,7 +175,7 @@ class CurvedProof:
         needed = []
         for k, i in enumerate(self._resting):
             if model.states[i] in model.domain:
-                lo, hi = model.bounds[i]
+                lo, hi = (evaluate(b, {}) for b in model.domain[model.states[i]])
                 reach = (-lo).min(hi)
                 if not reach > 0:
                     return False
@@ -204,7 +204,9 @@ class CurvedProof:
                 pairs = ((faces[k][0] - lo), (hi - faces[k][1]))
                 if not all(is_zero(d) is True or bool(evaluate(d, {}) >= 0) for d in pairs):
                     return False
-            elif not model.in_domain([i], [hull[k]]):
+            elif not (
+                bool(evaluate(lo, {}) <= hull[k][0]) and bool(hull[k][1] <= evaluate(hi, {}))
+            ):
                 return False
         return True
 

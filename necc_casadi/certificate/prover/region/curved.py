@@ -267,6 +267,8 @@ class Curved:
             for first in range(0, cells.shape[0], _ROWS):
                 Z = cells[first : first + _ROWS]
                 settled, axis = self._settled(c, free, Z, height, or_regular)
+                if settled is None:
+                    return False
                 left.append(_halved(Z[~settled], axis[~settled]))
             seen += cells.shape[0]
             cells = Interval(
@@ -281,8 +283,11 @@ class Curved:
 
     def _settled(
         self, c: list[sp.Expr], free: list[int], Z: Interval, height: float, or_regular: bool
-    ) -> tuple[Truth, Vector]:
-        """Cells (B, free) where it is proved, and the axis to cut the others along."""
+    ) -> tuple[Truth | None, Vector]:
+        """Cells (B, free) where it is proved, and the axis to cut the others along.
+
+        None instead of the cells where it does not hold: f ≤ h at the middle of one.
+        """
         B, middle = Z.shape[0], Z.mid
         delta = Z - middle
         own = coordinates(concatenate(Z, point(middle)))
@@ -309,6 +314,8 @@ class Curved:
         half = delta.magnitude
         pulls = slope.magnitude * half + (bend.magnitude * half[:, None, :]).sum(-1) * half
         axis = np.argmax(np.where(np.isfinite(pulls), pulls, np.inf), axis=1)
+        if not or_regular and (f.value[B:].hi <= height).any():
+            return None, axis
         if or_regular:
             grads = stack([j.grad[:B] for j in jets], 1)
             sharp = stack(
