@@ -36,6 +36,11 @@ _REACH = 2.0
 _TRIES = 4
 
 
+#: Weight of the logarithm of the condition of Gc beside that of det ∂c/∂xᵀ∂c/∂x: for a satellite
+#: its own and the controller's singular attitudes are then about equally far.
+_APART = 0.1
+
+
 def is_potential_free(loop: ClosedLoop, casimirs: Casimirs) -> bool:
     """Whether H depends on no state that a Casimir contains, and some Casimir is not linear.
 
@@ -49,12 +54,14 @@ def is_potential_free(loop: ClosedLoop, casimirs: Casimirs) -> bool:
 def best_coordinates(terms: Terms, x_star: Vector, guess: Vector, scales: Sizes) -> Vector:
     """ξ* near `guess` at which the Casimirs are the best coordinates of x: log det ∂c/∂xᵀ∂c/∂x.
 
-    Where that grows up to the end of the search, or not at all, the guess stays.
+    A region ends where the controller's own kinematics Gc(ξ) do, at the latest: what its condition
+    grows by on the way there is held against ξ*. Where the sum grows up to the end of the search,
+    or not at all, the guess stays.
     """
     xi, z = ca.SX.sym("xi", terms.nc), ca.SX.sym("z", terms.n + terms.nc)
     slopes = ca.jacobian(terms.c(z), z)[:, : terms.n]
     N = ca.substitute(slopes, z, ca.vertcat(x_star, xi)) @ ca.diag(scales.state[: terms.n])
-    worth = ca.log(ca.det(N @ N.T) + 1e-12)
+    worth = ca.log(ca.det(N @ N.T) + 1e-12) - _APART * _condition(terms, xi)
     options = {"print_time": False, "ipopt.print_level": 0, "ipopt.sb": "yes", "ipopt.tol": 1e-8}
     solver = ca.nlpsol("chart", "ipopt", {"x": xi, "f": -worth}, options)
     half = _REACH * scales.state[terms.n :]
@@ -69,3 +76,11 @@ def best_coordinates(terms: Terms, x_star: Vector, guess: Vector, scales: Sizes)
         if inside and solver.stats()["success"] and float(result["f"]) < found - 1e-6:
             best, found = end, float(result["f"])
     return best
+
+
+def _condition(terms: Terms, xi: ca.SX) -> ca.SX:
+    """Logarithm of ‖Gc‖²‖Gc⁺‖², infinite where Gc is singular or has a pole."""
+    Gc = terms.Gc(xi)
+    gram = Gc.T @ Gc
+    result: ca.SX = ca.log(ca.trace(gram) * ca.trace(ca.inv(gram)))
+    return result

@@ -35,7 +35,7 @@ from necc_casadi.certificate.prover.arithmetic.intervals import (
 from necc_casadi.certificate.prover.arithmetic.potential import Potential
 from necc_casadi.certificate.prover.region.landscape import Landscape
 
-__all__ = ["Cover", "Reduced"]
+__all__ = ["Cover", "Reduced", "quadratic_range"]
 
 #: Cells per evaluation: arrays stay within a processor's cache.
 _ROWS = 2048
@@ -185,7 +185,7 @@ class Reduced:
         square = point(scaled.square().sum().hi) * (1 + _COMPENSATION)
         rho: Vector = (square.sqrt()[..., None] * self.widths).hi
         error = Interval(-rho, rho)
-        w = value + _quadratic_range(slope, G, delta)
+        w = value + quadratic_range(slope, G, delta)
         w = w + Interval(-(square * 0.5).hi, np.zeros(B))
         drift = matmul(_transposed(B_), error[..., None])[..., 0]
         gradient = slope + matmul(G, delta[..., None])[..., 0] + drift
@@ -213,7 +213,7 @@ def _eigenvectors(G: Interval) -> Vector:
     return np.swapaxes(np.linalg.eigh(safe)[1], -1, -2)
 
 
-def _quadratic_range(g: Interval, G: Interval, delta: Interval) -> Interval:
+def quadratic_range(g: Interval, G: Interval, delta: Interval) -> Interval:
     """gᵀδ + ½δᵀGδ over boxes δ (B, d) around 0, each square exactly."""
     half = delta.magnitude
     total = point(np.zeros(half.shape[0]))

@@ -1,0 +1,53 @@
+"""Derivations that no motion is left where V stays constant, as data: what maker and checker read.
+
+A solution that stays in E = {𝒢ᵀ∇V = 0, Rcl∇V = 0} and in a compact set obeys ż = Jcl w, w = ∇V,
+and keeps every Casimir constant. Each step adds to what is known of it, and the derivation ends
+when w = 0 is (docs/theory.md, motions without loss). With momenta s, H = ½ sᵀA(y)s + U(y), the
+velocities are w_s = As, and s = A⁻¹w_s.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from necc_casadi.certificate.claims.fields import read_as
+
+__all__ = ["Rule", "Step", "read_steps"]
+
+#: rate (i): żᵢ is a combination of constants; being bounded, zᵢ is constant and the rate 0.
+#: steady (i): wᵢ is constant, since it depends on constant states and on Casimirs alone.
+#: level (i, l): wᵢ is constant and ∂H/∂zᵢ tells values of z_l apart, its only state that may move.
+#: convex (i, …): w is constant in all controller states that may move, and Hc strictly convex.
+#: momentum (j): s_j = Σ (A⁻¹)_jl w_l is a combination of constants.
+#: inertia (j, l): s_j = (A⁻¹)_jl w_l is constant, and the factor is a constant other than 0.
+#: swing (j, l, k): s_j = (A⁻¹)_jl w_l is constant, ż_k = αw_l, and the factor a function of z_k.
+#: placed (i, …): these states are constant, their w vanishes, and only z̄'s values make it vanish.
+Rule = Literal[
+    "rate", "steady", "level", "convex", "momentum", "inertia", "swing", "placed"
+]  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Step:
+    """One rule and the states, as indices in z, that it is applied to."""
+
+    rule: Rule
+    states: tuple[int, ...]
+
+    @property
+    def data(self) -> dict[str, Any]:
+        """The entry of certificate.json."""
+        return {"rule": self.rule, "states": list(self.states)}
+
+
+def read_steps(entries: Sequence[Mapping[str, Any]]) -> tuple[Step, ...]:
+    """A derivation from its entry of certificate.json.
+
+    Raises
+    ------
+    KeyError, ValueError
+        When an entry is missing or has another type.
+    """
+    return tuple(read_as(Step, entry) for entry in entries)
