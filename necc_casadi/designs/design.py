@@ -81,7 +81,7 @@ class Design(Parts):
     def lyapunov(self) -> LyapunovFunction:
         """V, its derivatives, its control law and its closed loop."""
         terms = make_terms(self.loop, self.casimirs)
-        return LyapunovFunction(terms, self.form, self.weights, self.D, self.Dc)
+        return LyapunovFunction(terms, self.form, self.weights, self.damping)
 
     @cached_property
     def z_star(self) -> Vector:

@@ -11,6 +11,7 @@ from necc_casadi.casimirs.casimirs import Casimirs
 from necc_casadi.designs.design import Design
 from necc_casadi.designs.natural import damping_units, units_for, weight_units
 from necc_casadi.designs.outcome import Start
+from necc_casadi.lyapunov.damping import uncoupled
 from necc_casadi.lyapunov.lyapunov import LyapunovFunction
 from necc_casadi.model.closed_loop import ClosedLoop
 from necc_casadi.synthesis.damping import choose_damping
@@ -88,13 +89,14 @@ def design(
         verbose=options.verbose,
     )
     weights, z_star = solution.weights, np.concatenate([plan.x, solution.xi_star])
-    undamped = LyapunovFunction(terms, form, weights, np.eye(terms.m), np.eye(terms.m))
-    damping = damping_units(plan.units)
+    m = terms.m
+    V = LyapunovFunction(terms, form, weights, np.eye(2 * m))
+    unit = damping_units(plan.units)
     given = (
-        None if options.D is None else options.D / damping,
-        None if options.Dc is None else options.Dc * damping,
+        None if options.D is None else options.D / unit[:m, :m],
+        None if options.Dc is None else options.Dc / unit[m:, m:],
     )
-    D, Dc = choose_damping(undamped, plan.loop, z_star, *given)
+    damping = uncoupled(*choose_damping(V, plan.loop, z_star, *given))
     stored = units_for(plan.sizes, form)
     learned = None
     if options.learn_casimir:
@@ -107,8 +109,7 @@ def design(
         form=form,
         weights=weights * weight_units(form, plan.units),
         xi_star=solution.xi_star * plan.units.state[terms.n :],
-        D=D * damping,
-        Dc=Dc / damping,
+        damping=damping * unit,
         a=plan.a,
         a_requested=plan.a_requested,
         sizes=plan.sizes,
