@@ -35,7 +35,7 @@ def opened_at_the_input(V: LyapunovFunction, z: Vector) -> tuple[Vector, Vector,
     terms = V.terms
     n, m = terms.n, terms.m
     x, xi = ca.MX.sym("x", n), ca.MX.sym("xi", terms.nc)
-    u, xi_dot = V.control_law.call([x, xi])
+    u, xi_dot = V.control_law_function.call([x, xi])
     law = ca.Function("law", [x, xi], [u, _slope(u, x, xi), _slope(xi_dot, x, xi)])
     u_z, u_slope, xi_slope = (np.asarray(v, float) for v in law.call([z[:n], z[n:]]))
     A_plant, G = plant_linearisation(terms, z[:n], u_z.ravel())

@@ -94,7 +94,7 @@ class Responses:
 
 def design_feedback(design: Design) -> Feedback:
     """The controller of a design, ξ starting at ξ*."""
-    return Feedback(design.natural.lyapunov.control_law, design.natural.xi_star)
+    return Feedback(design.natural.lyapunov.control_law_function, design.natural.xi_star)
 
 
 def lqr_feedback(plant: PlantModel) -> Feedback | None:

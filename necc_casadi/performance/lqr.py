@@ -14,7 +14,7 @@ import numpy as np
 import scipy.linalg
 
 from necc_casadi.arrays import Vector
-from necc_casadi.performance.cost import QuadraticCost
+from necc_casadi.model.cost import QuadraticCost
 
 __all__ = ["Lqr", "lqr"]
 

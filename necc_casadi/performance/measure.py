@@ -9,12 +9,12 @@ import numpy as np
 
 from necc_casadi.arrays import Vector
 from necc_casadi.designs.design import Design
+from necc_casadi.model.cost import QuadraticCost, bryson
 from necc_casadi.performance.closed_loop_cost import (
     design_feedback,
     lqr_feedback,
     responses,
 )
-from necc_casadi.performance.cost import QuadraticCost, bryson
 from necc_casadi.performance.margins import Margins, margins
 from necc_casadi.performance.optimum import optimal_costs
 from necc_casadi.performance.plant_model import PlantModel, plant_model

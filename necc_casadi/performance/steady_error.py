@@ -56,7 +56,7 @@ def _error(natural: Design, plant: Terms, force: Vector) -> Vector | None:
     n = V.terms.n
     z, way = ca.MX.sym("z", len(natural.z_star)), ca.MX.sym("way")
     x, xi = z[:n], z[n:]
-    u, xi_dot = V.control_law.call([x, xi])
+    u, xi_dot = V.control_law_function.call([x, xi])
 
     def dynamics(terms: Terms, held: ca.MX) -> ca.MX:
         return terms.F(x) @ terms.grad_H(x) + terms.G(x) @ held

@@ -18,6 +18,7 @@ from necc_casadi.synthesis.damping import choose_damping
 from necc_casadi.synthesis.learned_casimir import casimir_residual
 from necc_casadi.synthesis.options import Options
 from necc_casadi.synthesis.plan import make_plan
+from necc_casadi.synthesis.responsive import responsive
 from necc_casadi.synthesis.training import train
 from necc_casadi.verdict.verdict import Verdict
 
@@ -97,6 +98,12 @@ def design(
         None if options.Dc is None else options.Dc / unit[m:, m:],
     )
     damping = uncoupled(*choose_damping(V, plan.loop, z_star, *given))
+    starts, xi_star = solution.starts, solution.xi_star
+    if options.least_cost:
+        found = responsive(plan, options, solution, damping)
+        if found is not None:
+            weights, xi_star, damping = found.weights, found.xi_star, found.damping
+            starts = (*starts, found.start)
     stored = units_for(plan.sizes, form)
     learned = None
     if options.learn_casimir:
@@ -108,7 +115,7 @@ def design(
         verdict=verdict,
         form=form,
         weights=weights * weight_units(form, plan.units),
-        xi_star=solution.xi_star * plan.units.state[terms.n :],
+        xi_star=xi_star * plan.units.state[terms.n :],
         damping=damping * unit,
         a=plan.a,
         a_requested=plan.a_requested,
@@ -118,7 +125,7 @@ def design(
         * (stored.state / plan.units.state) ** 2
         * (plan.units.energy / stored.energy),
         seed=options.seed,
-        starts=solution.starts,
+        starts=starts,
         learned=learned,
     )
     return Design.from_text(made.text)

@@ -10,8 +10,8 @@ from scipy.optimize import brentq
 
 from necc_casadi.lyapunov.networks import Network
 from necc_casadi.lyapunov.parameterization import Form
+from necc_casadi.model.cost import QuadraticCost
 from necc_casadi.performance.closed_loop_cost import design_feedback, lqr_feedback, responses
-from necc_casadi.performance.cost import QuadraticCost
 from necc_casadi.performance.optimum import Optimum
 from necc_casadi.performance.plant_model import plant_model
 from necc_casadi.performance.steady_error import disturbed_error, perturbed_error

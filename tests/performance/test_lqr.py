@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from necc_casadi.errors import OptionError
-from necc_casadi.performance.cost import QuadraticCost, weight_matrix
+from necc_casadi.model.cost import QuadraticCost, weight_matrix
 from necc_casadi.performance.lqr import lqr
 
 

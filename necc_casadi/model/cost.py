@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from necc_casadi.arrays import Vector
-from necc_casadi.errors import OptionError
+from necc_casadi.errors import InputError, OptionError
 from necc_casadi.model.sizes import Sizes
 
 __all__ = ["QuadraticCost", "bryson", "weight_matrix"]
@@ -41,7 +41,14 @@ def bryson(sizes: Sizes, n: int) -> QuadraticCost:
     return QuadraticCost(np.diag(sizes.state[:n] ** -2.0), np.diag(sizes.input**-2.0))
 
 
-def weight_matrix(value: npt.ArrayLike, size: int, label: str, strict: bool) -> Vector:
+def weight_matrix(
+    value: npt.ArrayLike,
+    size: int,
+    label: str,
+    strict: bool,
+    error: type[InputError] = OptionError,
+    code: str = "usage",
+) -> Vector:
     """A weight as a matrix: from a number for each, a diagonal or a matrix.
 
     Parameters
@@ -57,8 +64,8 @@ def weight_matrix(value: npt.ArrayLike, size: int, label: str, strict: bool) -> 
 
     Raises
     ------
-    OptionError
-        ``usage``, when the shape or the definiteness is wrong.
+    InputError
+        Of the given class and code, when the shape or the definiteness is wrong.
     """
     numbers = np.asarray(value, float)
     if numbers.ndim == 0 or numbers.size == 1:
@@ -66,16 +73,14 @@ def weight_matrix(value: npt.ArrayLike, size: int, label: str, strict: bool) -> 
     else:
         matrix = np.diag(numbers) if numbers.ndim == 1 else numbers
     if matrix.shape != (size, size) or not np.array_equal(matrix, matrix.T):
-        raise OptionError(
-            "usage",
+        raise error(
+            code,
             f"{label} = {numbers.tolist()} is not a symmetric {size}×{size} matrix",
             f"Give a number, {size} of them (a diagonal), or a symmetric {size}×{size} matrix.",
         )
     if not np.all(np.isfinite(matrix)) or not _is_weight(matrix, strict):
         kind = "positive definite" if strict else "positive semidefinite and not zero"
-        raise OptionError(
-            "usage", f"{label} = {matrix.tolist()} is not {kind}", "What is away must cost."
-        )
+        raise error(code, f"{label} = {matrix.tolist()} is not {kind}", "What is away must cost.")
     return matrix
 
 
