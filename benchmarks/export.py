@@ -65,7 +65,7 @@ def paper_controller(hidden_h: tuple[int, ...], hidden_k: tuple[int, ...]) -> De
         loop=loop, casimirs=casimirs, x_star=tuple(target.values()),
         verdict=judge(loop, casimirs, target), form=form,
         weights=form.initial(np.random.default_rng(0)), xi_star=np.array([0.3]),
-        D=5 * np.eye(1), Dc=6 * np.eye(1), a=0.5, a_requested=0.5, seed=0,
+        damping=np.diag([5.0, 6.0]), a=0.5, a_requested=0.5, seed=0,
     )  # fmt: skip
 
 

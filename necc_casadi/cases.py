@@ -32,8 +32,8 @@ PhiForm = Literal["sum", "neural"]
 Shape = Literal["none", "regulariser", "level"]
 
 
-#: Of the training program: g = 0, t = 0 imposed, alone or over samples; or min s + t.
-Mode = Literal["hard", "shaped", "soft"]
+#: Of the training program: g = 0, t = 0 imposed, alone, over samples or for cost; or min s + t.
+Mode = Literal["hard", "shaped", "cost", "soft"]
 
 
 #: Number type of the C controller.

@@ -1,7 +1,10 @@
 """Models and trained designs that many tests share; each is made once per session."""
 
+import dataclasses
+
 import numpy as np
 import pytest
+from helpers.constructed import full_damping
 from helpers.problems import CART_AND_CRANE, PENDULUM, problem, solve
 
 from necc_casadi.designs.design import Design
@@ -35,13 +38,15 @@ def paper_design(pendulum) -> Design:
 
 @pytest.fixture(scope="session")
 def designs(pendulum, crane, default_design, paper_design) -> dict[str, Design]:
-    """One design per form: published, default, β-sum, joint, neural Φ, other activations."""
+    """One design per form: published, default, β-sum, joint, neural Φ, activations, damping."""
     small = {"hidden_k": (8,), "hidden_h": (6,)}
+    joint = solve(crane, Options(activation="squareplus", **small))
     return {
         "paper": paper_design,
         "default": default_design,
         "neural": solve(pendulum, Options(phi="neural", **small)),
-        "joint": solve(crane, Options(activation="squareplus", **small)),
+        "joint": joint,
+        "coupled": dataclasses.replace(joint, damping=full_damping(joint.damping)),
         "beta-sum": solve(
             crane, Options(casimir_form="sum", activation="sin", hidden_k=(8, 5), hidden_h=(6, 4))
         ),
@@ -51,7 +56,7 @@ def designs(pendulum, crane, default_design, paper_design) -> dict[str, Design]:
     }
 
 
-FORMS = ("paper", "default", "neural", "joint", "beta-sum", "beta-sum neural")
+FORMS = ("paper", "default", "neural", "joint", "coupled", "beta-sum", "beta-sum neural")
 
 
 @pytest.fixture(params=FORMS)

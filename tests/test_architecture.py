@@ -22,7 +22,9 @@ ORDER = (
     ("casimirs",),
     ("verdict", "lyapunov"),
     ("designs",),
-    ("simulation", "synthesis", "export", "certificate"),
+    ("simulation", "export", "certificate"),
+    ("performance",),
+    ("synthesis",),
     ("report",),
     ("pipeline",),
     ("cli",),
@@ -191,7 +193,7 @@ def test_only_the_shell_knows_click_prints_or_exits():
 
 
 def test_habits_of_the_house():
-    """No assert, eval or bare except; exec only where the user's own model file runs."""
+    """No assert, eval or bare except; exec only for the user's model; no proof rests on scipy."""
     for name, tree in TREES.items():
         for node in ast.walk(tree):
             assert not isinstance(node, ast.Assert), name
@@ -201,7 +203,8 @@ def test_habits_of_the_house():
                 called = getattr(node.func, "id", "")
                 assert called != "eval", name
                 assert called != "exec" or name == "model/model_file"
-        assert not foreign(name) & {"pickle", "shelve", "marshal", "scipy", "torch"}, name
+        assert not foreign(name) & {"pickle", "shelve", "marshal", "torch"}, name
+        assert "scipy" not in foreign(name) or not name.startswith("certificate"), name
 
 
 def test_errors_are_a_tree_with_code_fault_and_remedy():

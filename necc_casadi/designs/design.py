@@ -23,6 +23,7 @@ from necc_casadi.designs.parts import Parts
 from necc_casadi.errors import OutputError
 from necc_casadi.files import refuse_unfinished, write_text
 from necc_casadi.lyapunov.lyapunov import LyapunovFunction, make_terms
+from necc_casadi.lyapunov.opened_loop import opened_at_the_input
 from necc_casadi.model.domain import Domain, domain_of
 from necc_casadi.model.sizes import input_names
 from necc_casadi.symbolic.floats import to_floats
@@ -81,7 +82,7 @@ class Design(Parts):
     def lyapunov(self) -> LyapunovFunction:
         """V, its derivatives, its control law and its closed loop."""
         terms = make_terms(self.loop, self.casimirs)
-        return LyapunovFunction(terms, self.form, self.weights, self.D, self.Dc)
+        return LyapunovFunction(terms, self.form, self.weights, self.damping)
 
     @cached_property
     def z_star(self) -> Vector:
@@ -120,8 +121,10 @@ class Design(Parts):
     def linearise(self) -> tuple[Vector, Vector, Vector, Vector]:
         """State-space matrices (A, B, C, D) of the damped loop at z̄, ready for python-control.
 
-        Inputs are the ports (v, v_c) added to the damping, outputs are (y, y_c):
-        A (n + nc)², B (n + nc) × 2m, C 2m × (n + nc), D = 0.
+        The loop is closed: it is looked at through the ports of damping injection. Inputs are
+        (v, v_c) on top of the damping, outputs are (y, y_c) with y = Gᵀ∇H, y_c = Gcᵀ∇Hc:
+        A (n + nc)², B (n + nc) × 2m, C 2m × (n + nc), D = 0. Margins of the controller are those
+        of :meth:`loop_transfer`, which opens the loop at the plant's input.
         """
         z = self.z_bar
         values = dict(zip(self.loop.z, z, strict=True))
@@ -131,6 +134,25 @@ class Design(Parts):
             B,
             self._port_jacobian(z),
             np.zeros((B.shape[1],) * 2),
+        )
+
+    def loop_transfer(self) -> tuple[Vector, Vector, Vector, Vector]:
+        """State-space matrices (A, B, C, D) of L(s) at z̄, the loop opened at the plant's input.
+
+        An input w of the plant makes the controller give u = −L(s) w, so that the loop is closed
+        by negative feedback, as python-control has it: ``control.StateSpace(*loop_transfer())``.
+        States are (x, ξ): A (n + nc)², B (n + nc) × m, C m × (n + nc), D = 0; A − BC is the
+        closed loop.
+        """
+        S, U, T = self.units.state, self.units.input, self.units.time
+        natural = self.natural
+        A, B, C = opened_at_the_input(natural.lyapunov, natural.z_bar)
+        m = self.loop.plant.m
+        return (
+            A * S[:, None] / S / T,
+            B * S[:, None] / U / T,
+            C * U[:, None] / S,
+            np.zeros((m, m)),
         )
 
     def _port_jacobian(self, z: Vector) -> Vector:

@@ -16,6 +16,7 @@ from necc_casadi.arrays import Vector
 from necc_casadi.casimirs.casimirs import Casimirs
 from necc_casadi.designs.outcome import Residual, Start
 from necc_casadi.designs.parts import Parts
+from necc_casadi.lyapunov.damping import dissipates
 from necc_casadi.lyapunov.networks import ACTIVATIONS, MonotonePhi, Network
 from necc_casadi.lyapunov.parameterization import Form
 from necc_casadi.model.closed_loop import ClosedLoop
@@ -119,6 +120,7 @@ def to_dict(design: Parts) -> dict[str, Any]:
         "xi_star": _hex(design.xi_star),
         "D": _hex(design.D),
         "Dc": _hex(design.Dc),
+        **_coupling_text(design.damping),
         "sizes": {**_sizes_text(design.sizes), "guessed": list(design.sizes.guessed)},
         "units": _sizes_text(design.units),
         "curvature": _hex(design.curvature),
@@ -127,6 +129,23 @@ def to_dict(design: Parts) -> dict[str, Any]:
         "learned": None if design.learned is None else asdict(design.learned),
         "weights": _hex(design.weights),
     }
+
+
+def _coupling_text(damping: Vector) -> dict[str, Any]:
+    """The off-diagonal blocks of 𝒟, upper right and lower left, where they are not zero."""
+    m = len(damping) // 2
+    blocks = (damping[:m, m:], damping[m:, :m])
+    return {"coupling": [_hex(block) for block in blocks]} if np.any(blocks) else {}
+
+
+def _damping(data: Mapping[str, Any]) -> Vector:
+    """𝒟, (2m, 2m); a file without a coupling holds diag(D, Dc)."""
+    D, Dc = _unhex(data["D"]), _unhex(data["Dc"])
+    m = len(D)
+    upper, lower = map(_unhex, data["coupling"]) if "coupling" in data else np.zeros((2, m, m))
+    if any(block.shape != (m, m) for block in (D, Dc, upper, lower)):
+        raise ValueError("the blocks of the damping must be m × m")
+    return np.block([[D, upper], [lower, Dc]])
 
 
 def _sizes_text(sizes: Sizes) -> dict[str, Any]:
@@ -155,8 +174,7 @@ def check_whole(design: Parts, data: Mapping[str, Any]) -> None:
     shapes = {
         "weights": (design.weights, (form.size,)),
         "xi_star": (design.xi_star, (nc,)),
-        "D": (design.D, (m, m)),
-        "Dc": (design.Dc, (m, m)),
+        "damping": (design.damping, (2 * m, 2 * m)),
         "target": (to_floats(design.x_star), (n,)),
         "curvature": (design.curvature, (n + nc,)),
     }
@@ -173,8 +191,8 @@ def check_whole(design: Parts, data: Mapping[str, Any]) -> None:
             raise ValueError(f"sizes and units must be positive: {name}")
         if np.any(np.frexp(unit)[0] != 0.5):
             raise ValueError(f"units must be powers of two: {name}")
-    if min(np.linalg.eigvalsh(damping)[0] for damping in (design.D, design.Dc)) <= 0:
-        raise ValueError("D and Dc must be positive definite")
+    if not dissipates(design.damping):
+        raise ValueError("the symmetric part of the damping must be positive definite")
     inputs = [form.hc.inputs, form.k.inputs, *[beta.inputs for beta in form.betas]]
     if inputs != [nc, *([1] * (1 + r) if form.betas else [r])]:
         raise ValueError("the networks do not fit the controller and its Casimirs")
@@ -262,8 +280,7 @@ def from_dict(data: Mapping[str, Any]) -> Parts:
         form=_form(data["form"]),
         weights=_unhex(data["weights"]),
         xi_star=_unhex(data["xi_star"]),
-        D=_unhex(data["D"]),
-        Dc=_unhex(data["Dc"]),
+        damping=_damping(data),
         a=float.fromhex(data["a"]),
         a_requested=float.fromhex(data["a_requested"]),
         **_scaling(data),

@@ -1,6 +1,7 @@
 """A design in natural units: the same loop, networks and damping, measured otherwise, exactly.
 
-    Ĥc = Hc/E,  K̂(ĉ) = K(c)/E with ĉ = c/S_c,  V̂ = V/E,  D̂ = D E/(T U Uᵀ),  D̂c = Dc T U Uᵀ/E
+    Ĥc = Hc/E,  K̂(ĉ) = K(c)/E with ĉ = c/S_c,  V̂ = V/E,
+    𝒟̂ᵢⱼ = 𝒟ᵢⱼ pⱼ/eᵢ with e = (U, Y), p = (Y, U), Y = E/(T U)
 
 Weights of a network change by factors alone: the first layer by the size of its input, the output
 layer and κ by the energy, centres by the size of the input. Where every factor is a power of two
@@ -56,9 +57,10 @@ def weight_units(form: Form, units: Sizes) -> Vector:
 
 
 def damping_units(units: Sizes) -> Vector:
-    """Units of D, u per y, (m, m); those of Dc are their inverses."""
-    power = units.time * np.outer(units.input, units.input)
-    return np.asarray(power / units.energy, float)
+    """Units of 𝒟, which gives (v, v_c) in those of (u, y) for 𝒢ᵀ∇V in those of (y, u), (2m, 2m)."""
+    output = units.output
+    given, taken = np.concatenate([units.input, output]), np.concatenate([output, units.input])
+    return np.asarray(given[:, None] / taken, float)
 
 
 def natural_verdict(verdict: Verdict, units: Sizes, n: int) -> Verdict:
@@ -102,7 +104,6 @@ def natural_parts(parts: Parts) -> Parts:
     units, plant = parts.units, parts.loop.plant
     state = exactly(units.state)
     casimirs = rescaled_casimirs(parts.casimirs, parts.loop, units)
-    damping = damping_units(units)
     curvature = parts.curvature
     return replace(
         parts,
@@ -112,8 +113,7 @@ def natural_parts(parts: Parts) -> Parts:
         verdict=natural_verdict(parts.verdict, units, plant.n),
         weights=parts.weights / weight_units(parts.form, units),
         xi_star=parts.xi_star / units.state[plant.n :],
-        D=parts.D / damping,
-        Dc=parts.Dc * damping,
+        damping=parts.damping / damping_units(units),
         a=float(curvature.min()),
         a_requested=float(curvature.min()),
         sizes=parts.sizes.measured_in(units),

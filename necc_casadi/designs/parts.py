@@ -41,8 +41,7 @@ class Parts:
     form: Form
     weights: Vector  # (form.size,)
     xi_star: Vector  # (nc,)
-    D: Vector  # m × m
-    Dc: Vector  # m × m
+    damping: Vector  # 𝒟, 2m × 2m, symmetric part ≻ 0
     a: float  # curvature asked of ∇²V(z*)
     a_requested: float
     seed: int
@@ -63,3 +62,15 @@ class Parts:
         if not self.curvature.size:
             in_units = self.units.state**2 / self.units.energy
             object.__setattr__(self, "curvature", self.a * in_units)
+
+    @property
+    def D(self) -> Vector:
+        """Damping of the plant's port, u per y: the first diagonal block of 𝒟, (m, m)."""
+        m = self.loop.plant.m
+        return self.damping[:m, :m]
+
+    @property
+    def Dc(self) -> Vector:
+        """Damping of the controller's port: the second diagonal block of 𝒟, (m, m)."""
+        m = self.loop.plant.m
+        return self.damping[m:, m:]

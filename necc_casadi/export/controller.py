@@ -63,9 +63,9 @@ def _leaves(source: Source) -> list[str]:
     grad_H, G, Gc = terms.grad_H(x), terms.G(x), terms.Gc(xi)
     V_x = phi_1 * grad_H + ca.jacobian(c, x).T @ gamma
     V_xi = phi_1 * grad_hc + ca.jacobian(c, xi).T @ gamma
-    u = -Gc.T @ grad_hc - ca.DM(design.D) @ (G.T @ V_x)
-    v_c = -ca.DM(design.Dc) @ (Gc.T @ V_xi)
-    xi_dot = terms.Fc(xi) @ grad_hc + Gc @ (G.T @ grad_H + v_c)
+    injected = -ca.DM(design.damping) @ ca.vertcat(G.T @ V_x, Gc.T @ V_xi)
+    u = -Gc.T @ grad_hc + injected[: source.m]
+    xi_dot = terms.Fc(xi) @ grad_hc + Gc @ (G.T @ grad_H + injected[source.m :])
     slopes = {"grad_hc": grad_hc, "gamma": gamma, "phi_1": phi_1}
     arguments = [("x", x), ("xi", xi), *((name, slopes[name]) for name in _slopes(source))]
     leaves = [c_function("casimirs", arguments[:2], [("c", c)], real)]

@@ -65,8 +65,9 @@ def rounding_scales(design: Design) -> ca.Function:
     G, Gc = ca.fabs(terms.G(x)), ca.fabs(terms.Gc(xi))
     grad_H, grad_Hc = ca.fabs(terms.grad_H(x)), ca.fabs(grad_Hc)
     V_x, V_xi = phi_1 * grad_H + slopes[: terms.n], phi_1 * grad_Hc + slopes[terms.n :]
-    u = Gc.T @ grad_Hc + ca.DM(abs(design.D)) @ (G.T @ V_x) + ca.DM(sizes.input)
-    v_c = ca.DM(abs(design.Dc)) @ (Gc.T @ V_xi)
+    injected = ca.DM(abs(design.damping)) @ ca.vertcat(G.T @ V_x, Gc.T @ V_xi)
+    v, v_c = injected[: terms.m], injected[terms.m :]
+    u = Gc.T @ grad_Hc + v + ca.DM(sizes.input)
     size = ca.DM(sizes.state[terms.n :])
     rate = ca.fabs(terms.Fc(xi)) @ grad_Hc + Gc @ (G.T @ grad_H + v_c) + size / sizes.time
     return ca.Function("scales", [x, xi, dt], [u, rate, size + ca.fabs(xi) + dt * rate])

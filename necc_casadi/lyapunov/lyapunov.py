@@ -1,8 +1,9 @@
 """V = Φ(H + Hc, C), its derivatives, and its control law, in CasADi MX.
 
 C = K(Σ βᵢ(cᵢ))  or  K(c₁, …, c_r)                         eq. casimir_parameterization
-u  = −Gcᵀ∇Hc − D Gᵀ ∂V/∂x                                 Lemma EnergyCasimirControl
-ξ̇  = (Jc − Rc)∇Hc + Gc Gᵀ∇H − Gc Dc Gcᵀ ∂V/∂ξ
+(v, v_c) = −𝒟 𝒢ᵀ∇V                                        Lemma EnergyCasimirControl
+u  = −Gcᵀ∇Hc + v
+ξ̇  = (Jc − Rc)∇Hc + Gc (Gᵀ∇H + v_c)
 ż  = (M/Φ₁ − 𝒢𝒟𝒢ᵀ)∇V,  M = Jcl − Rcl                      docs/theory.md#decrease
 
 References
@@ -93,8 +94,7 @@ class LyapunovFunction:
     terms: Terms
     form: Form
     weights: Vector  # (form.size,)
-    D: Vector  # m × m, ≻ 0
-    Dc: Vector  # m × m, ≻ 0
+    damping: Vector  # 2m × 2m, symmetric part ≻ 0
 
     def __call__(self, z: ca.MX) -> ca.MX:
         """V(z) as an MX expression."""
@@ -177,8 +177,9 @@ class LyapunovFunction:
         grad_H = terms.grad_H(x)
         grad_Hc = ca.gradient(self.form.controller_energy(ca.DM(self.weights))(xi), xi)
         G, Gc = terms.G(x), terms.Gc(xi)
-        v = -ca.DM(self.D) @ (G.T @ ca.gradient(V, x))
-        v_c = -ca.DM(self.Dc) @ (Gc.T @ ca.gradient(V, xi))
+        passive = ca.vertcat(G.T @ ca.gradient(V, x), Gc.T @ ca.gradient(V, xi))
+        injected = -ca.DM(self.damping) @ passive
+        v, v_c = injected[: terms.m], injected[terms.m :]
         u = -Gc.T @ grad_Hc + v
         xi_dot = terms.Fc(xi) @ grad_Hc + Gc @ (G.T @ grad_H + v_c)
         return ca.Function("necc", [x, xi], [u, xi_dot], ["x", "xi"], ["u", "xi_dot"])

@@ -21,6 +21,7 @@ from necc_casadi.arrays import Vector
 from necc_casadi.errors import InputError, ModelError, OptionError
 from necc_casadi.model.closed_loop import ClosedLoop, interconnect
 from necc_casadi.model.controller import Controller, default_controller, make_controller
+from necc_casadi.model.cost import weight_matrix
 from necc_casadi.model.plant import Plant, make_plant
 from necc_casadi.model.sizes import input_names
 from necc_casadi.symbolic.expressions import exact, parse_number
@@ -35,7 +36,7 @@ _REQUIRED = ("x", "J", "R", "G", "H")
 
 _OPTIONAL = (
     "params", "xi", "Jc", "Rc", "Gc", "casimirs", "target", "domain", "sizes", "D", "Dc",
-    "u_limits", "units", "name",
+    "u_limits", "units", "name", "state_cost", "input_cost",
 )  # fmt: skip
 
 
@@ -65,6 +66,8 @@ class Model:
     target: Mapping[str, sp.Expr] | None = None  # state -> value
     D: Vector | None = None  # m × m
     Dc: Vector | None = None  # m × m
+    state_cost: Vector | None = None  # n × n, ⪰ 0
+    input_cost: Vector | None = None  # m × m, ≻ 0
     notes: tuple[str, ...] = ()  # names in the file that look mistyped
 
 
@@ -193,6 +196,8 @@ def _build(path: Path, space: dict[str, Any], overrides: Mapping[str, str]) -> M
         target={k: file.read(v) for k, v in file.table("target").items()} if named else None,
         D=_damping(file, "D", plant.m),
         Dc=_damping(file, "Dc", plant.m),
+        state_cost=_weight(file, "state_cost", plant.n, strict=False),
+        input_cost=_weight(file, "input_cost", plant.m, strict=True),
     )
 
 
@@ -391,18 +396,31 @@ def _sizes(file: _Reader, names: Sequence[str]) -> dict[str, sp.Expr]:
     return result
 
 
-def _damping(file: _Reader, label: str, m: int) -> Vector | None:
+def _weight(file: _Reader, label: str, size: int, strict: bool) -> Vector | None:
     value = file.space.get(label)
     if value is None:
         return None
+    numbers = np.squeeze(_numeric(file, label, value))
+    return weight_matrix(numbers, size, label, strict, ModelError, "model_file")
+
+
+def _numeric(file: _Reader, label: str, value: Any) -> Vector:
+    """A number, vector or matrix of the file, as a matrix of floats."""
     try:
         read = file.read(value)
         whole = isinstance(value, (list, tuple, sp.MatrixBase, np.ndarray))
-        numbers = np.array(sp.Matrix(sp.sympify(read) if whole else [read]).evalf(), dtype=float)
+        return np.array(sp.Matrix(sp.sympify(read) if whole else [read]).evalf(), dtype=float)
     except (TypeError, ValueError):
         raise ModelError(
             "model_file", f"{label} = {value} is not numeric", "Give a number or a matrix."
         ) from None
+
+
+def _damping(file: _Reader, label: str, m: int) -> Vector | None:
+    value = file.space.get(label)
+    if value is None:
+        return None
+    numbers = _numeric(file, label, value)
     return damping_matrix(numbers, m, label, ModelError, "model_file")
 
 

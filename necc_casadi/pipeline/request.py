@@ -129,7 +129,10 @@ def read_target(model: Model, text: str | None) -> dict[sp.Symbol, sp.Expr]:
 def read_options(request: Request, model: Model) -> Options:
     """The options of the synthesis, from the request and the model."""
     m = model.loop.plant.m
-    options = paper_options(m) if request.paper else Options(D=model.D, Dc=model.Dc)
+    options = Options(
+        D=model.D, Dc=model.Dc, state_cost=model.state_cost, input_cost=model.input_cost
+    )
+    options = paper_options(m) if request.paper else options
     if request.damping is not None:
         D = damping_matrix(np.array(request.damping), m, "--damping")
         options = replace(options, D=D)

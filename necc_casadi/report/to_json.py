@@ -68,6 +68,7 @@ def _design(design: Design, measures: Measures, certificate: Certificate | None)
         else {"mean": design.learned.mean, "worst": design.learned.worst},
         "D": design.D.tolist(),
         "Dc": design.Dc.tolist(),
+        "damping": design.damping.tolist(),
         "seed": design.seed,
         "starts": [_start(start) for start in design.starts],
     }

@@ -180,7 +180,7 @@ def _design_rows(
         ("minimum", f"z̄ = ({z_bar}); ‖z̄ − z*‖ = {measures.distance:.2g}; {bounds}"),
         (
             "loop",
-            f"D = {_matrix(design.D)}, Dc = {_matrix(design.Dc)}; spectral abscissa "
+            f"{_damping(design)}; spectral abscissa "
             f"{measures.spectrum[0].real:.4g} 1/s; least eigenvalue of ∇²V(z̄) "
             f"{measures.curvatures[0]:.4g}",
         ),
@@ -208,12 +208,20 @@ def _learned(residual: Residual) -> str:
     )
 
 
+def _damping(design: Design) -> str:
+    m = len(design.D)
+    if design.damping[:m, m:].any() or design.damping[m:, :m].any():
+        return f"damping {_matrix(design.damping)}"
+    return f"D = {_matrix(design.D)}, Dc = {_matrix(design.Dc)}"
+
+
 def _matrix(D: np.ndarray) -> str:
     diagonal = np.diag(np.diag(D))
     if np.array_equal(D, diagonal):
         values = [f"{v:.4g}" for v in np.diag(D)]
         return values[0] if len(values) == 1 else f"diag({', '.join(values)})"
-    return str(np.round(D, 4).tolist())
+    rows = (", ".join(f"{v:.4g}" for v in row) for row in D)
+    return f"[{'; '.join(rows)}]"
 
 
 def _responses(found: Findings) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import casadi as ca
 import numpy as np
@@ -33,16 +33,25 @@ _STIFFEST = 1e4
 
 
 def least_kappa(
-    terms: Terms, scales: Sizes, verdict: Verdict, x_star: Vector, xi_star: Vector, a: Vector
+    terms: Terms,
+    scales: Sizes,
+    verdict: Verdict,
+    x_star: Vector,
+    xi_star: Vector,
+    a: Vector,
+    momenta: Sequence[int] = (),
 ) -> float:
     """The least κ, in natural units, for which quadratic parts alone make V convex at samples.
 
     They must also reach the curvature `a` (n + nc,) at z*, with something to spare, so that the
     networks need not. The samples fill twice the natural domain, whole turns of an angle included.
-    A certificate, not this search, says whether V is convex everywhere. Where no stiffness helps
-    (H curves downwards somewhere along an invisible direction) the default bound is returned.
+    The plant states `momenta` are at rest in them: H is convex in them, and the proof of a global
+    minimum minimises over them before it asks for the Hessian of what is left. A certificate, not
+    this search, says whether V is convex everywhere. Where no stiffness helps (H curves downwards
+    somewhere along an invisible direction) the default bound is returned.
     """
-    hessians = _hessians(terms, scales, verdict, np.concatenate([x_star, xi_star]))
+    z_star = np.concatenate([x_star, xi_star])
+    hessians = _hessians(terms, scales, verdict, z_star, momenta)
     asked = np.sqrt(np.outer(a, a))
     relative = np.outer(scales.state, scales.state) / scales.energy
 
@@ -72,7 +81,7 @@ def least_kappa(
 
 
 def _hessians(
-    terms: Terms, scales: Sizes, verdict: Verdict, z_star: Vector
+    terms: Terms, scales: Sizes, verdict: Verdict, z_star: Vector, momenta: Sequence[int]
 ) -> Callable[[float], tuple[Vector, Vector]]:
     """κ ↦ ∇²V at z* and at the samples, V = H + λᵀc + ½κ(‖ξ‖² + ‖c − c*‖²) in natural units."""
     n = terms.n
@@ -89,6 +98,7 @@ def _hessians(
     hessian = ca.Function("hessian", [z, kappa], [ca.hessian(V, z)[0]])
     offsets = np.random.default_rng(0).uniform(-4, 4, (_SAMPLES, len(z_star)))
     samples = z_star + offsets * scales.state
+    samples[:, list(momenta)] = 0.0
 
     def at(value: float) -> tuple[Vector, Vector]:
         columns = np.asarray(hessian.map(len(samples))(samples.T, value), float)

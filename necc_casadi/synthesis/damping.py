@@ -1,6 +1,6 @@
 """How large the damping of Lemma EnergyCasimirControl should be.
 
-Damping injection is v = −D Gᵀ∂V/∂x, v_c = −Dc Gcᵀ∂V/∂ξ.
+Damping injection is v = −D Gᵀ∂V/∂x, v_c = −Dc Gcᵀ∂V/∂ξ: here the two ports are not coupled.
 """
 
 from __future__ import annotations
@@ -8,6 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from necc_casadi.arrays import Vector
+from necc_casadi.lyapunov.damping import uncoupled
 from necc_casadi.lyapunov.lyapunov import LyapunovFunction
 from necc_casadi.model.closed_loop import ClosedLoop
 
@@ -74,9 +75,7 @@ def _multiples(vary_D: bool, vary_Dc: bool, many: bool) -> list[tuple[float, flo
 
 def _generator(M: Vector, ports: Vector, D: Vector, Dc: Vector) -> Vector:
     """M/Φ₁ − 𝒢𝒟𝒢ᵀ."""
-    m = len(D)
-    damping = np.block([[D, np.zeros((m, m))], [np.zeros((m, m)), Dc]])
-    result: Vector = M - ports @ damping @ ports.T
+    result: Vector = M - ports @ uncoupled(D, Dc) @ ports.T
     return result
 
 

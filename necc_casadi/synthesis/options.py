@@ -50,6 +50,9 @@ class Options:
     keep_a: bool = False  # ask for `a` even where no network can reach it
     D: Vector | None = None  # m × m
     Dc: Vector | None = None  # m × m
+    least_cost: bool = False  # least quadratic cost of the linearised loop, damping included
+    state_cost: Vector | None = None  # n × n, of that cost; None: Bryson's rule
+    input_cost: Vector | None = None  # m × m
     convex: bool = False  # quadratic parts stiff enough to make V convex everywhere
     learn_casimir: bool = False  # a network C(z), a Casimir only approximately
     shape: Shape = "none"

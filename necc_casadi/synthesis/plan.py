@@ -164,7 +164,10 @@ def _anchor(plan: Plan, verdict: Verdict, options: Options) -> Anchor:
         guess = best_coordinates(plan.terms, plan.x, anchor.xi, plan.natural)
         anchor = Anchor(guess, pull=HELD_XI, stiffness=POTENTIAL_FREE_STIFFNESS)
     if options.convex:
-        kappa = least_kappa(plan.terms, plan.scales, verdict, plan.x, anchor.xi, plan.curvature)
+        momenta = find_momenta(plan.loop, plan.casimirs, plan.x_star)
+        kappa = least_kappa(
+            plan.terms, plan.scales, verdict, plan.x, anchor.xi, plan.curvature, momenta
+        )
         stiff = (STIFFER * kappa,) * len(form.networks) if kappa > KAPPA_MIN else anchor.stiffness
         anchor = replace(anchor, kappa_min=kappa, stiffness=stiff)
     return anchor

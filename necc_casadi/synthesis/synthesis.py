@@ -12,12 +12,14 @@ from necc_casadi.casimirs.casimirs import Casimirs
 from necc_casadi.designs.design import Design
 from necc_casadi.designs.natural import damping_units, units_for, weight_units
 from necc_casadi.designs.outcome import Start
+from necc_casadi.lyapunov.damping import uncoupled
 from necc_casadi.lyapunov.lyapunov import LyapunovFunction
 from necc_casadi.model.closed_loop import ClosedLoop
 from necc_casadi.synthesis.damping import choose_damping
 from necc_casadi.synthesis.learned_casimir import casimir_residual
 from necc_casadi.synthesis.options import Options
 from necc_casadi.synthesis.plan import make_plan
+from necc_casadi.synthesis.responsive import responsive
 from necc_casadi.synthesis.training import train
 from necc_casadi.verdict.verdict import Verdict
 
@@ -89,13 +91,20 @@ def design(
         verbose=options.verbose,
     )
     weights, z_star = solution.weights, np.concatenate([plan.x, solution.xi_star])
-    undamped = LyapunovFunction(terms, form, weights, np.eye(terms.m), np.eye(terms.m))
-    damping = damping_units(plan.units)
+    m = terms.m
+    V = LyapunovFunction(terms, form, weights, np.eye(2 * m))
+    unit = damping_units(plan.units)
     given = (
-        None if options.D is None else options.D / damping,
-        None if options.Dc is None else options.Dc * damping,
+        None if options.D is None else options.D / unit[:m, :m],
+        None if options.Dc is None else options.Dc / unit[m:, m:],
     )
-    D, Dc = choose_damping(undamped, plan.loop, z_star, *given)
+    damping = uncoupled(*choose_damping(V, plan.loop, z_star, *given))
+    starts, xi_star = solution.starts, solution.xi_star
+    if options.least_cost:
+        found = responsive(plan, options, solution, damping)
+        if found is not None:
+            weights, xi_star, damping = found.weights, found.xi_star, found.damping
+            starts = (*starts, found.start)
     stored = units_for(plan.sizes, form)
     learned = None
     if options.learn_casimir:
@@ -107,9 +116,8 @@ def design(
         verdict=verdict,
         form=form,
         weights=weights * weight_units(form, plan.units),
-        xi_star=solution.xi_star * plan.units.state[terms.n :],
-        D=D * damping,
-        Dc=Dc / damping,
+        xi_star=xi_star * plan.units.state[terms.n :],
+        damping=damping * unit,
         a=plan.a,
         a_requested=plan.a_requested,
         sizes=plan.sizes,
@@ -118,7 +126,7 @@ def design(
         * (stored.state / plan.units.state) ** 2
         * (plan.units.energy / stored.energy),
         seed=options.seed,
-        starts=solution.starts,
+        starts=starts,
         learned=learned,
     )
     return replace(Design.from_text(made.text), starts=solution.starts)  # with their seconds

@@ -28,7 +28,7 @@ def test_loading_rebuilds_everything_bit_for_bit(any_design, points, tmp_path):
     n = any_design.loop.plant.n
     assert loaded.text == any_design.text == (tmp_path / "design.json").read_text("utf-8")
     assert loaded.hash == any_design.hash
-    for name in ("weights", "xi_star", "D", "Dc", "z_star", "z_bar"):
+    for name in ("weights", "xi_star", "damping", "z_star", "z_bar"):
         assert np.array_equal(getattr(loaded, name), getattr(any_design, name))
     assert loaded.form == any_design.form
     assert loaded.loop.M == any_design.loop.M
@@ -105,6 +105,10 @@ EDITS = {
     "too many inputs": _edit(["form", "k", "inputs"], 7),
     "damping that feeds energy": _edit(["D"], [["-0x1p0"]]),
     "damping of another shape": _edit(["D"], ["0x1p0"]),
+    "a coupling that feeds energy": _edit(["coupling"], [[["0x1p9"]], [["0x1p9"]]]),
+    "a coupling of another shape": _edit(["coupling"], [["0x1p0"], ["0x1p0"]]),
+    "half a coupling": _edit(["coupling"], [[["0x1p0"]]]),
+    "an infinite coupling": _edit(["coupling"], [[["inf"]], [["-inf"]]]),
     "no controller state": _edit(["xi_star"], []),
     "half a target": _edit(["target"], lambda t: t[:1]),
     "a complex target": _edit(["target"], ["log(-1)", "0"]),

@@ -59,6 +59,17 @@ def verdict(n: int) -> Verdict:
     )
 
 
+def full_damping(damping: np.ndarray, seed: int = 0) -> np.ndarray:
+    """The same diagonal blocks, coupled and with a skew part; the symmetric part stays ≻ 0."""
+    m, rng = len(damping) // 2, np.random.default_rng(seed)
+    root = np.sqrt(np.diag(damping))
+    coupling = np.zeros_like(damping)
+    coupling[:m, m:] = rng.uniform(-1, 1, (m, m)) / (2 * m)
+    coupling += coupling.T
+    skew = rng.normal(size=damping.shape)
+    return damping + np.outer(root, root) * (coupling + skew - skew.T)
+
+
 def make_design(
     plant: Plant,
     target,
@@ -79,8 +90,7 @@ def make_design(
         form=form,
         weights=np.asarray(weights, float),
         xi_star=np.asarray(xi_star, float),
-        D=damping[0] * np.eye(m),
-        Dc=damping[1] * np.eye(m),
+        damping=np.kron(np.diag(damping), np.eye(m)),
         a=0.5,
         a_requested=0.5,
         seed=0,

@@ -54,6 +54,13 @@ def arm_loop() -> tuple[ClosedLoop, Casimirs]:
     return loop, Casimirs((q1 - xi1, sp.tanh(q2) * (1 + xi2**2) - xi2 / 3 + q1 * xi1), 2, 2)
 
 
+def _damping(rng: np.random.Generator, m: int) -> np.ndarray:
+    """Uncoupled or full, in turns; the symmetric part of either is ≻ 0."""
+    diagonal = np.diag(rng.uniform(1, 5, 2 * m))
+    root = rng.normal(size=(2 * m, 2 * m))
+    return diagonal + (root @ root.T + root - root.T) * rng.integers(2)
+
+
 def design(loop_and_casimirs, form: Form, seed: int = 0) -> Design:
     loop, casimirs = loop_and_casimirs
     rng = np.random.default_rng(seed)
@@ -71,8 +78,7 @@ def design(loop_and_casimirs, form: Form, seed: int = 0) -> Design:
         form=form,
         weights=weights,
         xi_star=rng.normal(size=m),
-        D=np.diag(rng.uniform(1, 5, m)),
-        Dc=np.diag(rng.uniform(1, 6, m)),
+        damping=_damping(rng, m),
         a=0.5,
         a_requested=0.5,
         seed=seed,

@@ -16,7 +16,7 @@ def build(task, form, weights, xi, a=0.5):
         loop=task.loop,
     )
     m = task.loop.plant.m
-    return type(made)(**{**vars_of(made), "D": np.eye(m), "Dc": np.eye(m), "a": a})
+    return type(made)(**{**vars_of(made), "damping": np.eye(2 * m), "a": a})
 
 
 def vars_of(made):

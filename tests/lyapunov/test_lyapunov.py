@@ -62,8 +62,9 @@ def closed_loop_of_lemma_1(made, z):
         lambda xi: reference.network(made.form.hc, theta, xi), z[n:]
     ).ravel()
     grad_V = reference.jacobian(reference.lyapunov(made), z).ravel()
-    v = -made.D @ G.T @ grad_V[:n]
-    v_c = -made.Dc @ Gc.T @ grad_V[n:]
+    v, v_c = np.split(
+        -made.damping @ np.concatenate([G.T @ grad_V[:n], Gc.T @ grad_V[n:]]), [plant.m]
+    )
     u = -Gc.T @ grad_Hc + v
     x_dot = (J - R) @ grad_H + G @ u
     xi_dot = (Jc - Rc) @ grad_Hc + Gc @ (G.T @ grad_H + v_c)
@@ -86,8 +87,7 @@ def test_the_two_forms_of_the_loop_agree(any_design, points):
     loop, V = any_design.loop, any_design.lyapunov
     ports = sp.lambdify([loop.z], sp.Matrix(loop.ports), "numpy")
     M = sp.lambdify([loop.z], sp.Matrix(loop.M), "numpy")
-    m = loop.plant.m
-    damping = np.block([[any_design.D, np.zeros((m, m))], [np.zeros((m, m)), any_design.Dc]])
+    damping = any_design.damping
     for z in points(any_design, 8):
         gradient = np.asarray(V.gradient(z)).ravel()
         P = np.asarray(ports(z), float)
@@ -117,15 +117,24 @@ def test_phi_slope_is_what_V_gains_per_energy(designs, points):
 
 def test_V_never_rises_along_the_vector_field(any_design, points):
     """V̇ = −∇Vᵀ Rcl ∇V/Φ₁ − ∇Vᵀ𝒢𝒟𝒢ᵀ∇V ≤ 0 everywhere, far from z* too, and for any damping."""
-    V, m = any_design.lyapunov, any_design.loop.plant.m
+    V, loop = any_design.lyapunov, any_design.loop
+    m = loop.plant.m
+    ports = sp.lambdify([loop.z], sp.Matrix(loop.ports), "numpy")
+    R = sp.lambdify([loop.z], sp.Matrix(loop.R), "numpy")
     rng = np.random.default_rng(3)
     for z in points(any_design, 40, 20.0, seed=1):
-        root, root_c = rng.normal(size=(2, m, m))
-        D, Dc = root @ root.T + 1e-3 * np.eye(m), root_c @ root_c.T + 1e-3 * np.eye(m)
-        for made in (V, LyapunovFunction(V.terms, V.form, V.weights, D, Dc)):
+        root, skew = rng.normal(size=(2, 2 * m, 2 * m))
+        symmetric = root @ root.T + 1e-3 * np.eye(2 * m)
+        for damping in (any_design.damping, symmetric + 5 * (skew - skew.T)):
+            made = LyapunovFunction(V.terms, V.form, V.weights, damping)
             gradient = np.asarray(made.gradient(z)).ravel()
             rate = gradient @ np.asarray(made.vector_field(z)).ravel()
-            assert rate <= 1e-10 * (1 + gradient @ gradient)
+            seen = np.asarray(ports(z), float).T @ gradient
+            lost = gradient @ np.asarray(R(z), float) @ gradient / float(made.phi_slope(z))
+            expected = -lost - seen @ (damping + damping.T) @ seen / 2
+            size = 1 + gradient @ gradient * (1 + np.abs(damping).sum())
+            assert rate == pytest.approx(expected, abs=1e-10 * size)
+            assert rate <= 1e-10 * size
 
 
 def test_linearisation_by_finite_differences(any_design):

@@ -157,3 +157,19 @@ def test_damping_that_does_not_take_energy_out(value):
     with pytest.raises(OptionError) as caught:
         damping_matrix(np.array(value), 2, "--damping")
     assert caught.value.code == "usage"
+
+
+def test_weights_of_the_cost(tmp_path):
+    path = tmp_path / "weighted.py"
+    text = PENDULUM.read_text(encoding="utf-8")
+    path.write_text(f"{text}\nstate_cost = [4, sp.Rational(1, 2)]\ninput_cost = 3\n", "utf-8")
+    made = load_model(path)
+    assert np.array_equal(made.state_cost, np.diag([4, 0.5]))
+    assert np.array_equal(made.input_cost, [[3.0]])
+    plain = load_model(PENDULUM)
+    assert (plain.state_cost, plain.input_cost) == (None, None)
+    for line in ("state_cost = -1", "input_cost = 0", "state_cost = [1, 2, 3]", "input_cost = 'u'"):
+        path.write_text(f"{text}\n{line}\n", "utf-8")
+        with pytest.raises(ModelError, match=line.split()[0]) as caught:
+            load_model(path)
+        assert caught.value.code == "model_file"

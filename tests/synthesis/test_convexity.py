@@ -33,9 +33,9 @@ def task_of(name: str) -> SimpleNamespace:
     return task
 
 
-def kappa_of(task, a: float) -> float:
+def kappa_of(task, a: float, momenta=()) -> float:
     terms = make_terms(task.loop, task.casimirs)
-    return least_kappa(terms, task.scales, task.verdict, task.x, task.xi, a)
+    return least_kappa(terms, task.scales, task.verdict, task.x, task.xi, a, momenta)
 
 
 def hessians(task, kappa: float):
@@ -50,11 +50,12 @@ def hessians(task, kappa: float):
     return sp.lambdify([loop.z], sp.hessian(V, loop.z), "numpy", cse=True)
 
 
-def lowest_at_samples(task, kappa: float, seed: int = 7) -> float:
+def lowest_at_samples(task, kappa: float, seed: int = 7, resting=()) -> float:
     """Least eigenvalue at random points within twice the natural domain."""
     rng = np.random.default_rng(seed)
     hessian, z_star = hessians(task, kappa), np.concatenate([task.x, task.xi])
     points = z_star + rng.uniform(-4, 4, (SAMPLES, len(z_star))) * task.scales.state
+    points[:, list(resting)] = 0.0
     return min(float(np.linalg.eigvalsh(np.array(hessian(z), float))[0]) for z in points)
 
 
@@ -68,6 +69,16 @@ def test_the_stiffness_makes_v_convex_and_a_fraction_of_it_does_not(name):
     assert lowest_at_samples(task, kappa) > 0
     assert np.linalg.eigvalsh(np.array(hessians(task, kappa)(z_star), float))[0] > a
     assert lowest_at_samples(task, 0.2 * kappa) < 0
+
+
+def test_momenta_at_rest_take_a_fraction_of_the_stiffness():
+    """The kinetic energy of the arm bends V down where it moves fast."""
+    task = task_of("two_link_arm")
+    a, momenta = 0.25 * task.verdict.a_max, (2, 3)
+    kappa = kappa_of(task, a, momenta)
+    assert kappa < 0.1 * kappa_of(task, a)
+    assert lowest_at_samples(task, kappa, resting=momenta) > 0
+    assert lowest_at_samples(task, 0.2 * kappa, resting=momenta) < 0
 
 
 def test_the_pendulum_needs_what_the_algebra_says():

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from helpers.problems import problem, solve
 
+from necc_casadi.lyapunov.damping import uncoupled
 from necc_casadi.lyapunov.lyapunov import LyapunovFunction
 from necc_casadi.model.model_file import load_model
 from necc_casadi.synthesis.damping import choose_damping
@@ -43,7 +44,9 @@ def spectra(made, dampings) -> np.ndarray:
     return np.array(
         [
             np.linalg.eigvals(
-                LyapunovFunction(V.terms, V.form, V.weights, D, Dc).linearisation(made.z_bar)
+                LyapunovFunction(V.terms, V.form, V.weights, uncoupled(D, Dc)).linearisation(
+                    made.z_bar
+                )
             )
             for D, Dc in dampings
         ]
@@ -57,7 +60,7 @@ def affine_linearisation(made):
     zero = np.zeros((m, m))
 
     def built(D, Dc):
-        damped = LyapunovFunction(V.terms, V.form, V.weights, D, Dc)
+        damped = LyapunovFunction(V.terms, V.form, V.weights, uncoupled(D, Dc))
         return damped.linearisation(made.z_bar)
 
     base = built(zero, zero)

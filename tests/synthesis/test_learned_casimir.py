@@ -103,8 +103,7 @@ def test_the_linearised_loop_is_not_the_gradient_form(learned):
     V, loop, away = learned.lyapunov, learned.loop, learned.z_star.copy()
     away += (0.7, -0.6, 0.5)
     ports = np.array(loop.ports.tolist(), float)
-    m = loop.plant.m
-    damping = np.block([[learned.D, np.zeros((m, m))], [np.zeros((m, m)), learned.Dc]])
+    damping = learned.damping
     structure = np.asarray(V.terms.M(away), float) - ports @ damping @ ports.T
     gradient_form = structure @ np.asarray(V.gradient(away), float).ravel()
     built = np.asarray(V.vector_field(away), float).ravel()

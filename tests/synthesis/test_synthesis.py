@@ -8,6 +8,7 @@ from helpers.models import BASE
 from helpers.problems import problem, solve
 
 from necc_casadi.designs.error_bound import loss
+from necc_casadi.lyapunov.damping import uncoupled
 from necc_casadi.lyapunov.lyapunov import LyapunovFunction
 from necc_casadi.model.model_file import load_model
 from necc_casadi.model.sizes import natural_sizes
@@ -16,7 +17,7 @@ from necc_casadi.synthesis.options import Options, paper_options
 
 def abscissa(made, D, Dc) -> float:
     V = made.lyapunov
-    damped = LyapunovFunction(V.terms, V.form, V.weights, np.asarray(D), np.asarray(Dc))
+    damped = LyapunovFunction(V.terms, V.form, V.weights, uncoupled(D, Dc))
     return float(np.linalg.eigvals(damped.linearisation(made.z_bar)).real.max())
 
 

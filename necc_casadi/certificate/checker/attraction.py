@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sympy as sp
-from flint import arb, arb_mat
+from flint import arb_mat
 
 from necc_casadi.certificate.checker.arithmetic.balls import Box, ball, evaluate
 from necc_casadi.certificate.checker.arithmetic.definite import lyapunov_matrix, middle_of, positive
@@ -78,11 +78,7 @@ def _linearisation(evidence: Evidence, box: Box) -> arb_mat:
     def enclose(matrix: sp.Matrix) -> arb_mat:
         return arb_mat([[evaluate(e, values) for e in row] for row in matrix.tolist()])
 
-    ports, m = enclose(model.ports), model.m
-    damping = arb_mat(2 * m, 2 * m)
-    for i in range(m):
-        for j in range(m):
-            damping[i, j], damping[m + i, m + j] = arb(model.D[i][j]), arb(model.Dc[i][j])
+    ports, damping = enclose(model.ports), arb_mat(model.damping)
     M = enclose(sp.Matrix(model.Jcl - model.Rcl))
     slope = evidence.full.slope(box)
     return (M / slope - ports * damping * ports.transpose()) * hessian_hull(evidence.full, box)

@@ -78,7 +78,6 @@ def _slope(evidence: Evidence) -> Checked:
 
 
 def _damping(model: StoredDesign) -> Checked:
-    """D, Dc ≻ 0 by elimination over the rationals."""
-    parts = (("D ≻ 0", model.D), ("Dc ≻ 0", model.Dc))
-    obligations = ((name, partial(exactly_positive, A)) for name, A in parts)
+    """𝒟 + 𝒟ᵀ ≻ 0 by elimination over the rationals."""
+    obligations = [("the symmetric part is ≻ 0", partial(exactly_positive, model.damping))]
     return Checked.by("damping", statements.DAMPING, obligations)

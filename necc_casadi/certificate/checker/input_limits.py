@@ -20,13 +20,19 @@ _DEPTH = 28
 
 
 class InputProof:
-    """u = −Gcᵀ∇Hc − D Gᵀ ∂V/∂x over boxes, the momenta s within ½ δ sᵀAs ≤ c_u − V(y, 0)."""
+    """u = −Gcᵀ∇Hc − D Gᵀ ∂V/∂x − B Gcᵀ ∂V/∂ξ over boxes, [D B] the first rows of 𝒟.
+
+    The momenta s are within ½ δ sᵀAs ≤ c_u − V(y, 0).
+    """
 
     def __init__(self, model: StoredDesign, energy: Energy, level: float) -> None:
         self.model, self.energy, self.level = model, energy, level
         self.resting = [i for i in range(len(model.z)) if i not in energy.active]
+        coupled = any(any(row[model.m :]) for row in model.damping[: model.m])
         self.driven = [
-            (k, i) for k, i in enumerate(energy.active) if i < model.n and any(model.G.row(i))
+            (k, i)
+            for k, i in enumerate(energy.active)
+            if (coupled if i >= model.n else any(model.G.row(i)))
         ]
         s = [model.z[i] for i in self.resting]
         self.A = sp.hessian(model.H, s) if s else sp.zeros(0)
@@ -52,11 +58,12 @@ class InputProof:
         model, gradient = self.model, self.energy.gradient(box)
         values = {v: ball(*b) for v, b in zip(self.energy.variables, box, strict=True)}
         slopes = self.energy.hc(box[-model.nc :])[1]
-        G = [[evaluate(e, values) for e in row] for row in model.G.tolist()]
+        ports = [[evaluate(e, values) for e in row] for row in model.ports.tolist()]
         Gc = [[evaluate(e, values) for e in row] for row in model.Gc.tolist()]
         stiff = [[evaluate(e, values) for e in row] for row in self.A.tolist()]
         for k, (lo, hi) in enumerate(model.u_limits or ()):
-            damped = [sum((model.D[k][j] * g for j, g in enumerate(row)), arb(0)) for row in G]
+            given = model.damping[k]
+            damped = [sum((given[j] * g for j, g in enumerate(row)), arb(0)) for row in ports]
             u = -sum((Gc[j][k] * slope for j, slope in enumerate(slopes)), arb(0))
             u = u - sum((damped[i] * gradient[at] for at, i in self.driven), arb(0))
             swing = self._swing([damped[i] for i in self.resting], stiff, room)

@@ -55,12 +55,7 @@ class StoredDesign:
         ]
         self.xi_star = divided(numbers(data["xi_star"]), self.units.state[self.n :])
         u = scale.input
-        power = [[self.units.time * a * b / self.units.energy for b in u] for a in u]
-        self.D = [divided(numbers(row), unit) for row, unit in zip(data["D"], power, strict=True)]
-        self.Dc = [
-            divided(numbers(row), [1 / v for v in unit])
-            for row, unit in zip(data["Dc"], power, strict=True)
-        ]
+        self.damping = self._damping(data, u)
         self.weights = divided(numbers(data["weights"]), scale.weights)
         units = dict(zip(self.states, S, strict=True))
         self.domain = {
@@ -72,6 +67,24 @@ class StoredDesign:
         if self.stated_limits is not None:
             pairs = zip(self.stated_limits, u, strict=True)
             self.u_limits = [divided(list(pair), [unit, unit]) for pair, unit in pairs]
+
+    def _damping(self, data: Mapping[str, Any], u: list[float]) -> list[list[float]]:
+        """𝒟, which takes (y, u) to (u, y), each port in its unit.
+
+        Raises
+        ------
+        ValueError
+            When the blocks do not fit.
+        """
+        y = [self.units.energy / (self.units.time * v) for v in u]
+        rest = [["0x0p+0"] * self.m] * self.m
+        upper, lower = data.get("coupling", (rest, rest))
+        top = [a + b for a, b in zip(data["D"], upper, strict=True)]
+        bottom = [a + b for a, b in zip(lower, data["Dc"], strict=True)]
+        if not len(top) == len(bottom) == self.m:
+            raise ValueError("the damping needs m rows for each port")
+        pairs = zip(top + bottom, u + y, strict=True)
+        return [divided(numbers(row), [unit / v for v in y + u]) for row, unit in pairs]
 
     def _read(self, text: str) -> sp.Expr:
         """An expression of the states, these in natural units."""

@@ -42,12 +42,12 @@ __all__ = [
 STRUCTURE = "J = −Jᵀ, R = Rᵀ ⪰ 0, Jc = −Jcᵀ, Rc = Rcᵀ ⪰ 0 hold exactly for all states"
 
 
-DAMPING = "D ≻ 0 and Dc ≻ 0, in exact arithmetic on the stored numbers"
+DAMPING = "the symmetric part of the damping is ≻ 0, in exact arithmetic on the stored numbers"
 
 
 DECREASE = (
     "V never increases along the continuous-time, unsaturated loop, wherever the model is "
-    "defined and for every D, Dc ≻ 0"
+    "defined and for every damping with a symmetric part ≻ 0"
 )
 
 

@@ -34,11 +34,8 @@ def linearisation(potential: Potential, Z: Interval) -> Interval:
     design, loop = potential.design, potential.design.loop
     M = matrix_enclosure(loop.M, loop.z, Z[None, :])[0]
     ports = matrix_enclosure(loop.ports, loop.z, Z[None, :])[0]
-    m = loop.plant.m
-    damping = np.zeros((2 * m, 2 * m))
-    damping[:m, :m], damping[m:, m:] = design.D, design.Dc
     transposed = Interval(ports.lo.T, ports.hi.T)
-    injected = matmul(ports, matmul(damping, transposed))
+    injected = matmul(ports, matmul(design.damping, transposed))
     slope = potential.slope(Z[None, :])[0]
     return matmul(M / slope - injected, potential.jet(Z[None, :]).hess[0])
 

@@ -1,7 +1,7 @@
 """V decreases along the damped loop, by algebra (Lemma EnergyCasimirControl).
 
 V̇ = −∇Vᵀ Rcl ∇V / Φ₁ − ∇Vᵀ 𝒢𝒟𝒢ᵀ ∇V ≤ 0 everywhere, given ∇Cᵀ(Jcl − Rcl) = 0, Φ₁ > 0, Rcl ⪰ 0 and
-D, Dc ≻ 0. Each of the four is proved here again from the design's own expressions and numbers.
+𝒟 + 𝒟ᵀ ≻ 0. Each of the four is proved here again from the design's own expressions and numbers.
 """
 
 from __future__ import annotations
@@ -112,7 +112,6 @@ def _slope(design: Design) -> Claim:
 
 
 def _damping(design: Design) -> Claim:
-    wrong = [name for name in ("D", "Dc") if not exactly_positive_definite(getattr(design, name))]
-    if wrong:
-        return Claim("damping", False, f"{' and '.join(wrong)} not positive definite")
+    if not exactly_positive_definite(design.damping):
+        return Claim("damping", False, "the symmetric part of the damping is not positive definite")
     return Claim("damping", True, statements.DAMPING)

@@ -1,6 +1,6 @@
 """Input limits: the largest level c_u ≤ c at which |u| provably stays within them on Ω.
 
-u = −Gcᵀ∇Hc − D Gᵀ ∂V/∂x (Lemma EnergyCasimirControl). With s the momenta of
+u = −Gcᵀ∇Hc − D Gᵀ ∂V/∂x − B Gcᵀ ∂V/∂ξ, [D B] the first m rows of 𝒟. With s the momenta of
 H = ½ sᵀA(y)s + U(y) and y the other states, V(y, s) ≥ V(y, 0) + ½ δ sᵀAs, so by Cauchy–Schwarz
 {V ≤ c} holds |wᵀAs|² ≤ 2(c − V(y, 0)) wᵀAw/δ for every w: the share of the momenta in u is bounded
 on each cell of y by the room that is left below c.
@@ -66,8 +66,15 @@ def _covered(potential: Potential) -> bool:
     driven = [i for i in potential.active if i < loop.plant.n and any(loop.plant.G[i, :])]
     A = sp.hessian(loop.plant.H, s)
     moved = any(A.has(loop.z[i]) for i in driven)
-    through_phi = bool(driven) and potential.design.form.phi is not None
+    seen = bool(driven) or _is_coupled(potential)
+    through_phi = seen and potential.design.form.phi is not None
     return not (loop.plant.G.has(*s) or moved or through_phi)
+
+
+def _is_coupled(potential: Potential) -> bool:
+    """Whether u sees ∂V/∂ξ."""
+    m = potential.design.loop.plant.m
+    return bool(potential.design.damping[:m, m:].any())
 
 
 def _halved(boxes: Interval, like: Interval) -> Interval:
@@ -113,11 +120,11 @@ def _controller_output(potential: Potential, cells: Interval) -> Interval:
 
 
 def _passive_output(potential: Potential, cells: Interval, gradient: Interval) -> Interval:
-    """D Gᵀ ∂V/∂x at rest, from the plant states that are not momenta, (B, m)."""
-    rows = [k for k, i in enumerate(potential.active) if i < potential.design.loop.plant.n]
-    states = [potential.active[k] for k in rows]
-    DG = _damped(potential, states, cells)
-    return matmul(DG, gradient[:, rows][..., None])[..., 0]
+    """[D B] 𝒢ᵀ∇V at rest, without the momenta, (B, m); ∂V/∂ξ does not depend on them."""
+    n, coupled = potential.design.loop.plant.n, _is_coupled(potential)
+    rows = [k for k, i in enumerate(potential.active) if i < n or coupled]
+    damped = _damped(potential, [potential.active[k] for k in rows], cells)
+    return matmul(damped, gradient[:, rows][..., None])[..., 0]
 
 
 def _momentum_gain(potential: Potential, cells: Interval) -> Interval:
@@ -140,8 +147,8 @@ def _momentum_gain(potential: Potential, cells: Interval) -> Interval:
 
 
 def _damped(potential: Potential, states: Sequence[int], cells: Interval) -> Interval:
-    """D Gᵀ at some of the plant states, (B, m, states)."""
-    design = potential.design
-    G = sp.Matrix(design.loop.plant.G.extract(list(states), range(design.loop.plant.m)))
+    """[D B] 𝒢ᵀ at some of the states, (B, m, states)."""
+    design, m = potential.design, potential.design.loop.plant.m
+    ports = sp.Matrix(design.loop.ports).extract(list(states), range(2 * m))
     symbols = [design.loop.z[i] for i in potential.active]
-    return matmul(design.D, matrix_enclosure(sp.Matrix(G.T), symbols, cells))
+    return matmul(design.damping[:m], matrix_enclosure(sp.Matrix(ports.T), symbols, cells))

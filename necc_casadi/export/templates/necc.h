@@ -1,7 +1,8 @@
 /* necc.h: controller of @title@, held at @target@.
  *
- *   u  = -Gc' grad Hc - D G' dV/dx
- *   xi' = (Jc - Rc) grad Hc + Gc (y - Dc Gc' dV/dxi),  y = G' grad H(x)
+ *   (v, vc) = -damping (G' dV/dx, Gc' dV/dxi)
+ *   u  = -Gc' grad Hc + v
+ *   xi' = (Jc - Rc) grad Hc + Gc (y + vc),  y = G' grad H(x)
  *
  * Everything here is reentrant: no heap, no globals, no state but the caller's.
  *

@@ -1,6 +1,8 @@
 """The independent checker accepts what the maker proved and nothing looser."""
 
 import copy
+import dataclasses
+import hashlib
 import json
 
 import pytest
@@ -51,6 +53,46 @@ def any_region(request):
 
 def test_a_region_is_proved_again(any_region):
     assert all(verdicts(any_region).values())
+
+
+@pytest.fixture(scope="module")
+def coupled(tmp_path_factory):
+    """A full damping with a large skew part, and input limits, which see both ports."""
+    folder = tmp_path_factory.mktemp("coupled")
+    design = quadratic_pendulum()
+    plant = dataclasses.replace(design.loop.plant, u_limits=((-6.0, 6.0),))
+    design = dataclasses.replace(
+        design,
+        loop=interconnect(plant, design.loop.controller),
+        damping=np.array([[5.0, 7.0], [-5.0, 6.0]]),
+    )
+    design.save(folder / "design.json")
+    (folder / "certificate.json").write_text(certify(design).to_json(), encoding="utf-8")
+    return folder
+
+
+def test_a_full_damping_is_proved_again(coupled):
+    result = verdicts(coupled)
+    assert all(result.values()), result
+    assert {"damping", "decrease", "attraction", "region", "input_limits"} <= set(result)
+
+
+def test_the_coupling_of_the_damping_counts(coupled, tmp_path):
+    """With another coupling V̇ or the rate of the linearisation is another."""
+    certificate = json.loads((coupled / "certificate.json").read_text(encoding="utf-8"))
+    stored = json.loads((coupled / "design.json").read_text(encoding="utf-8"))
+    for upper, lower, refused in [
+        (9.0, 9.0, {"damping", "decrease"}),
+        (200.0, -200.0, {"attraction"}),
+    ]:
+        stored["coupling"] = [[[upper.hex()]], [[lower.hex()]]]
+        text = json.dumps(stored)
+        certificate["design_hash"] = hashlib.sha256(text.encode()).hexdigest()
+        (tmp_path / "design.json").write_text(text, encoding="utf-8")
+        (tmp_path / "certificate.json").write_text(json.dumps(certificate), encoding="utf-8")
+        result = verdicts(tmp_path)
+        assert result["design"]
+        assert refused <= {name for name, holds in result.items() if not holds}, (upper, result)
 
 
 def test_everything_that_was_made_is_proved_again(pendulum):

@@ -182,7 +182,7 @@ def test_a_loop_that_is_none_is_refused_by_what_it_lacks(made, tmp_path):
         ("R", [["0", "0"], ["0", "-1"]], "structure", "R = Rᵀ ⪰ 0"),
         ("R", [["0", "1"], ["0", "1"]], "structure", "R = Rᵀ ⪰ 0"),
         ("G", [["0"], ["2"]], "casimir", "the condition for q - xi1"),
-        ("D", [["-0x1.0p+0"]], "damping", "D ≻ 0"),
+        ("D", [["-0x1.0p+0"]], "damping", "the symmetric part is ≻ 0"),
     ]:
         part = stored if entry == "D" else stored["model"]
         changed = stored | ({"D": value} if part is stored else {"model": part | {entry: value}})

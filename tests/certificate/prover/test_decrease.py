@@ -23,10 +23,18 @@ def local(design) -> Certificate:
     return certify(design, region=False)
 
 
-@pytest.mark.parametrize("matrix", ["D", "Dc"])
-@pytest.mark.parametrize("value", [-1.0, 0.0, np.nan])
-def test_damping_that_is_not_positive_definite(matrix, value):
-    design = dataclasses.replace(quadratic_pendulum(), **{matrix: np.array([[value]])})
+@pytest.mark.parametrize(
+    "damping",
+    [
+        np.diag([-1.0, 1.0]),
+        np.diag([1.0, 0.0]),
+        np.diag([np.nan, 1.0]),
+        np.array([[1.0, 3.0], [1.0, 1.0]]),  # symmetric part with the eigenvalue -1
+        np.array([[1.0, np.inf], [-np.inf, 1.0]]),
+    ],
+)
+def test_damping_that_is_not_positive_definite(damping):
+    design = dataclasses.replace(quadratic_pendulum(), damping=damping)
     certificate = local(design)
     assert not holds(certificate)["damping"]
     assert not holds(certificate)["decrease"]

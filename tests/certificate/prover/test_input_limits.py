@@ -6,7 +6,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers.constructed import make_design, mechanical, quadratic_pendulum, trained_like_pendulum
+from helpers.constructed import (
+    full_damping,
+    make_design,
+    mechanical,
+    quadratic_pendulum,
+    trained_like_pendulum,
+)
 from scipy.optimize import minimize
 
 from necc_casadi.certificate.checker.check import check
@@ -40,6 +46,12 @@ def spring(*pairs) -> Design:
     return limited(
         make_design(plant, (0, 0), QUADRATIC, [0, 0, 1.0, 0, 0, 0, 1.0, 0], [0.0]), *pairs
     )
+
+
+def coupled(*pairs) -> Design:
+    """The same with a full damping: u sees ∂V/∂ξ too."""
+    made = spring(*pairs)
+    return dataclasses.replace(made, damping=full_damping(made.damping))
 
 
 def chain(*pairs) -> Design:
@@ -80,9 +92,9 @@ def test_without_limits_nothing_is_said():
     assert limits_claim(certificate) is None
 
 
-@pytest.mark.parametrize(("make", "share"), [(spring, 0.98), (chain, 0.9)])
+@pytest.mark.parametrize(("make", "share"), [(spring, 0.98), (coupled, 0.98), (chain, 0.9)])
 def test_level_of_a_quadratic_is_the_one_known_by_hand(make, share):
-    bound = 1.5 if make is spring else 0.8
+    bound = 0.8 if make is chain else 1.5
     design = make((-bound, 9.0))
     by_hand = of_quadratic(design, bound)
     certificate = certify(design)
@@ -124,6 +136,13 @@ def test_neural_phi_and_networks_keep_the_bound():
     assert_kept(design, certificate, 3.0)
 
 
+def test_nothing_is_claimed_where_the_momenta_reach_u_through_the_slope_of_phi():
+    made = neural()
+    full = dataclasses.replace(made, damping=full_damping(made.damping))
+    assert limits_claim(certify(made)).holds
+    assert not limits_claim(certify(full)).holds
+
+
 def boundary(design: Design, level: float, count: int) -> np.ndarray:
     """States with V just below the level, along random rays from z̄."""
     rng, states = np.random.default_rng(1), []
@@ -148,7 +167,7 @@ def assert_kept(design: Design, certificate, bound: float) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("design", [spring((-1.5, 1.5)), chain((-1.5, 1.5))])
+@pytest.mark.parametrize("design", [spring((-1.5, 1.5)), coupled((-1.5, 1.5)), chain((-1.5, 1.5))])
 def test_simulation_from_the_boundary_never_exceeds_the_limits(design):
     assert_kept(design, certify(design), 1.5)
 
@@ -160,11 +179,14 @@ def test_simulation_of_a_network_never_exceeds_the_limits():
     assert_kept(design, certificate, 2.0)
 
 
-@pytest.fixture(scope="module", params=["spring", "pendulum", "network", "neural", "chain"])
+@pytest.fixture(
+    scope="module", params=["spring", "coupled", "pendulum", "network", "neural", "chain"]
+)
 def folder(request, tmp_path_factory):
     folder = tmp_path_factory.mktemp(request.param)
     design = {
         "spring": lambda: spring((-1.5, 9.0)),
+        "coupled": lambda: coupled((-1.5, 9.0)),
         "pendulum": lambda: limited(quadratic_pendulum(), (-2.5, 1.0)),
         "network": lambda: limited(trained_like_pendulum(quadratic=True), (-2.0, 2.0)),
         "neural": neural,

@@ -1,0 +1,153 @@
+"""Responses of any controller from many starts, and what they cost.
+
+References
+----------
+Hindmarsh et al. (2005), CVODES.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+from necc_casadi.arrays import Truth, Vector
+from necc_casadi.designs.design import Design
+from necc_casadi.interrupts import interruptible
+from necc_casadi.performance.plant_model import PlantModel
+
+__all__ = ["Feedback", "Responses", "design_feedback", "lqr_feedback", "responses"]
+
+
+#: Output times of a response.
+_POINTS = 401
+
+
+#: A response that ends within this share of its first distance has come to the target.
+_ARRIVED = 0.01
+
+
+#: It has settled while it stays within this share.
+_SETTLED = 0.02
+
+
+#: Error that a step allows, in natural units, and steps between two output times.
+_RELATIVE, _ABSOLUTE, _MOST_STEPS = 1e-8, 1e-10, 5000
+
+
+@dataclass(frozen=True, eq=False)
+class Feedback:
+    """A controller in natural units."""
+
+    law: ca.Function  # (x, ξ) -> (u, ξ̇)
+    xi: Vector  # (nc,) where ξ starts
+
+
+@dataclass(frozen=True, eq=False)
+class Responses:
+    """Of one controller from N starts, in natural units; unreached times are nan."""
+
+    t: Vector  # (points,)
+    x: Vector  # (N, points, n)
+    u: Vector  # (N, points, m)
+    xi: Vector  # (N, points, nc)
+    cost: Vector  # (N,) ∞ where the target is not reached
+    x_star: Vector  # (n,)
+    size: Vector  # (n,)
+
+    @property
+    def distance(self) -> Vector:
+        """‖x − x*‖ in sizes, (N, points)."""
+        return np.asarray(np.linalg.norm((self.x - self.x_star) / self.size, axis=2), float)
+
+    @property
+    def arrived(self) -> Truth:
+        """Which starts come to the target, (N,)."""
+        return np.isfinite(self.cost)
+
+    @property
+    def settling_times(self) -> Vector:
+        """Time from which the distance stays within 2 % of the first, (N,); ∞ if never."""
+        distance, times = self.distance, []
+        for row, arrived in zip(distance, self.arrived, strict=True):
+            outside = np.flatnonzero(row > _SETTLED * row[0])
+            last = int(outside[-1]) + 1 if outside.size else 0
+            times.append(float(self.t[last]) if arrived and last < len(self.t) else np.inf)
+        return np.array(times)
+
+    @property
+    def overshoots(self) -> Vector:
+        """How far a state goes beyond the target, as a share of the first distance, (N,)."""
+        first = (self.x[:, 0] - self.x_star) / self.size
+        beyond = -np.sign(first)[:, None] * (self.x - self.x_star) / self.size
+        largest = np.nanmax(np.where(first[:, None] == 0, 0.0, beyond), axis=(1, 2))
+        norm = np.linalg.norm(first, axis=1)
+        return np.asarray(np.maximum(largest, 0.0) / np.where(norm > 0, norm, 1.0), float)
+
+    @property
+    def peak_inputs(self) -> Vector:
+        """Largest |u| of each input, (N, m)."""
+        return np.asarray(np.nanmax(np.abs(self.u), axis=1), float)
+
+
+def design_feedback(design: Design) -> Feedback:
+    """The controller of a design, ξ starting at ξ*."""
+    return Feedback(design.natural.lyapunov.control_law_function, design.natural.xi_star)
+
+
+def lqr_feedback(plant: PlantModel) -> Feedback | None:
+    """U = u* − K(x − x*), where LQR stabilises."""
+    if plant.linear is None:
+        return None
+    x, xi = ca.MX.sym("x", plant.n), ca.MX.sym("xi", 0)
+    u = ca.DM(plant.u_star) - ca.DM(plant.linear.K) @ (x - ca.DM(plant.x_star))
+    return Feedback(ca.Function("lqr", [x, xi], [u, ca.MX(0, 1)]), np.zeros(0))
+
+
+def responses(
+    plant: PlantModel, feedback: Feedback, starts: Sequence[Vector], horizon: float
+) -> Responses:
+    """Responses from plant states (n,) over a horizon, in natural units."""
+    grid = np.linspace(0.0, horizon, _POINTS)
+    integrator = _integrator(plant, feedback, grid)
+    n, nc = plant.n, len(feedback.xi)
+    states = np.full((len(starts), _POINTS, n + nc + 1), np.nan)
+    for index, start in enumerate(starts):
+        states[index, 0] = np.concatenate([start, feedback.xi, [0.0]])
+        try:
+            with interruptible():
+                found = np.asarray(integrator(x0=states[index, 0])["xf"], float)
+        except RuntimeError:  # the integrator's way to say that it cannot go on
+            continue
+        states[index, 1:] = found.T
+    x, xi = states[..., :n], states[..., n : n + nc]
+    law = feedback.law.map(len(starts) * _POINTS)
+    columns = states.reshape(-1, n + nc + 1).T
+    u, _ = law.call([columns[:n], columns[n : n + nc]])
+    inputs = np.asarray(u, float).reshape(plant.m, -1).T.reshape(len(starts), _POINTS, plant.m)
+    found_responses = Responses(grid, x, inputs, xi, states[:, -1, -1], plant.x_star, plant.size)
+    distance = found_responses.distance
+    with np.errstate(invalid="ignore"):
+        arrived = distance[:, -1] <= _ARRIVED * distance[:, 0]
+    cost = np.where(arrived & np.isfinite(states[:, -1, -1]), states[:, -1, -1], np.inf)
+    return Responses(grid, x, inputs, xi, cost, plant.x_star, plant.size)
+
+
+def _integrator(plant: PlantModel, feedback: Feedback, grid: Vector) -> ca.Function:
+    n, nc = plant.n, len(feedback.xi)
+    state = ca.MX.sym("state", n + nc + 1)
+    x, xi = state[:n], state[n : n + nc]
+    u, xi_dot = feedback.law.call([x, xi])
+    sx, su = ca.SX.sym("x", n), ca.SX.sym("u", plant.m)
+    running = ca.Function("cost", [sx, su], [plant.running_cost(sx, su)])
+    field = {"x": state, "ode": ca.vertcat(plant.dynamics(x, u), xi_dot, running(x, u))}
+    options = {
+        "abstol": _ABSOLUTE,
+        "reltol": _RELATIVE,
+        "max_num_steps": _MOST_STEPS,
+        "show_eval_warnings": False,
+        "disable_internal_warnings": True,
+    }
+    return ca.integrator("rollout", "cvodes", field, 0.0, grid[1:].tolist(), options)

@@ -1,0 +1,63 @@
+"""What a performance is measured on: the plant at its target, in natural units."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import casadi as ca
+
+from necc_casadi.arrays import Vector
+from necc_casadi.designs.design import Design
+from necc_casadi.lyapunov.opened_loop import plant_dynamics, plant_linearisation
+from necc_casadi.model.cost import QuadraticCost
+from necc_casadi.performance.lqr import Lqr, lqr
+
+__all__ = ["PlantModel", "plant_model"]
+
+
+@dataclass(frozen=True, eq=False)
+class PlantModel:
+    """Dynamics, target, cost, and LQR at the target, all in natural units."""
+
+    dynamics: ca.Function  # (x, u) -> ẋ
+    x_star: Vector  # (n,)
+    u_star: Vector  # (m,) holds the target
+    cost: QuadraticCost
+    size: Vector  # (n,) natural sizes
+    u_size: Vector  # (m,)
+    linear: Lqr | None  # None: LQR does not stabilise it
+
+    @property
+    def n(self) -> int:
+        """Number of states."""
+        return len(self.x_star)
+
+    @property
+    def m(self) -> int:
+        """Number of inputs."""
+        return len(self.u_star)
+
+    def running_cost(self, x: ca.SX, u: ca.SX) -> ca.SX:
+        """What (x, u) costs per unit of time."""
+        away, effort = x - ca.DM(self.x_star), u - ca.DM(self.u_star)
+        Q, R = ca.SX(ca.DM(self.cost.Q)), ca.SX(ca.DM(self.cost.R))
+        return ca.bilin(Q, away, away) + ca.bilin(R, effort, effort)
+
+
+def plant_model(design: Design, cost: QuadraticCost) -> PlantModel:
+    """The plant of a design beside a cost in the units of its model."""
+    natural, units = design.natural, design.units
+    terms = natural.lyapunov.terms
+    x = natural.z_star[: terms.n]
+    u = natural.control(x, natural.xi_star)[0]
+    A, B = plant_linearisation(terms, x, u)
+    scaled = cost.measured_in(units)
+    return PlantModel(
+        dynamics=plant_dynamics(terms),
+        x_star=x,
+        u_star=u,
+        cost=scaled,
+        size=natural.sizes.state[: terms.n],
+        u_size=natural.sizes.input,
+        linear=lqr(A, B, scaled),
+    )

@@ -1,0 +1,85 @@
+"""Where the loop comes to rest when the plant is another one, or a constant force acts on it."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+
+from necc_casadi.arrays import Vector
+from necc_casadi.designs.design import Design
+from necc_casadi.lyapunov.lyapunov import Terms, make_terms
+from necc_casadi.model.closed_loop import ClosedLoop
+from necc_casadi.model.rescale import rescaled_loop
+
+__all__ = ["disturbed_error", "perturbed_error"]
+
+
+#: Steps from the design's own plant to the other one, and Newton steps in each.
+_STEPS, _NEWTON = 10, 20
+
+
+#: A Newton step below this, in natural units, ends the iteration.
+_SMALL = 1e-10
+
+
+def disturbed_error(design: Design, share: float = 0.1) -> Vector | None:
+    """|x − x*| in sizes, (n,), at rest under a matched disturbance of this share of each u's size.
+
+    The largest over the inputs and both signs; None where a loop does not stay at rest nearby.
+    """
+    natural = design.natural
+    worst = np.zeros(natural.loop.plant.n)
+    for k, size in enumerate(natural.sizes.input):
+        for sign in (1.0, -1.0):
+            force = np.zeros(len(natural.sizes.input))
+            force[k] = sign * share * size
+            found = _error(natural, natural.lyapunov.terms, force)
+            if found is None:
+                return None
+            worst = np.maximum(worst, found)
+    return worst
+
+
+def perturbed_error(design: Design, other: ClosedLoop) -> Vector | None:
+    """|x − x*| in sizes, (n,), at rest with the controller of `design` on the plant of `other`.
+
+    None where that loop does not stay at rest nearby. `other` is in the units of the model.
+    """
+    natural = design.natural
+    terms = make_terms(rescaled_loop(other, design.units), natural.casimirs)
+    return _error(natural, terms, np.zeros(terms.m))
+
+
+def _error(natural: Design, plant: Terms, force: Vector) -> Vector | None:
+    """Newton's method along a path from the design's plant to `plant` with a force on its input."""
+    V = natural.lyapunov
+    n = V.terms.n
+    z, way = ca.MX.sym("z", len(natural.z_star)), ca.MX.sym("way")
+    x, xi = z[:n], z[n:]
+    u, xi_dot = V.control_law_function.call([x, xi])
+
+    def dynamics(terms: Terms, held: ca.MX) -> ca.MX:
+        return terms.F(x) @ terms.grad_H(x) + terms.G(x) @ held
+
+    pushed = u + way * ca.DM(force)
+    x_dot = (1 - way) * dynamics(V.terms, pushed) + way * dynamics(plant, pushed)
+    field = ca.vertcat(x_dot, xi_dot)
+    slope = ca.jacobian(field, z)
+    both = ca.Function("rest", [z, way], [field, slope])
+    at = natural.z_bar
+    for share in np.linspace(0, 1, _STEPS + 1)[1:]:
+        for _ in range(_NEWTON):
+            f, A = (np.asarray(v, float) for v in both.call([at, share]))
+            if not np.isfinite(A).all():
+                return None
+            step = np.linalg.lstsq(A, f.ravel(), rcond=None)[0]
+            at = at - step
+            if np.linalg.norm(step) < _SMALL:
+                break
+        else:
+            return None
+    A = np.asarray(both.call([at, 1.0])[1], float)
+    if np.linalg.eigvals(A).real.max() >= 0:
+        return None
+    size = natural.sizes.state[:n]
+    return np.asarray(np.abs(at[:n] - natural.z_star[:n]) / size, float)

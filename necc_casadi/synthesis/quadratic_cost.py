@@ -1,0 +1,331 @@
+"""The quadratic cost of the linearised loop, minimised over V's quadratic parts and the damping.
+
+At z*, where ∇V = 0, the damped loop and its input are linear in N = ∇²V(z*) and 𝒟:
+
+    A = (M − 𝒢𝒟𝒢ᵀ) N,   C_u = −∂(Gcᵀ∇Hc)/∂z − [D B] 𝒢ᵀN,
+    AᵀP + PA + Q + C_uᵀ R C_u = 0,   P = L_P L_Pᵀ,
+
+so that xᵀPx is what a response costs near the target. N depends on the weights through the lifted
+2-jets alone (lifting.py), and the hard form of eq. Loss stays as it is (programs.py):
+
+    min  tr(P Z₀)/tr(P_LQR Σ) + shape + proximity,   ‖A‖_F ≤ √N ω,
+
+ω a few times LQR's fastest mode, Z₀ the mean of z zᵀ over starts of the domain with ξ(0) = ξ*.
+𝒟 + 𝒟ᵀ ≻ 0 makes every A Hurwitz that LaSalle's principle makes attract, so no constraint of
+stability is needed. The networks cost much to move: quadratic parts and damping carry the cost,
+and V stays smooth away from z*.
+
+References
+----------
+Anderson and Moore (1990), Optimal Control: Linear Quadratic Methods.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+import scipy.linalg
+
+from necc_casadi.arrays import Vector
+from necc_casadi.designs.outcome import Start
+from necc_casadi.interrupts import interruptible
+from necc_casadi.lyapunov.damping import dissipates
+from necc_casadi.lyapunov.networks import Network
+from necc_casadi.synthesis.lifting import Lifting
+from necc_casadi.synthesis.programs import Program
+
+__all__ = ["LinearQuadratic", "Responsive", "least_cost"]
+
+
+#: Multiples of LQR's fastest mode that the loop may have.
+_FASTEST = 6.0
+
+
+#: Weight of the shape of V, and of staying where training ended.
+_SHAPE, _PROXIMITY = 1e-3, 1e-2
+
+
+#: How much more a weight of a network costs than one of a quadratic part.
+_NETWORKS_STAY = 1e5
+
+
+#: Weight of a damping unlike the one that training ended with.
+_DAMPING = 1e-3
+
+
+#: 𝒟 = root (LLᵀ + skew) root, root² the damping at the start: bounds of L and of the skew part.
+_LEAST_DAMPING, _MOST_DAMPING, _COUPLING = 0.01, 30.0, 3.0
+
+
+_IPOPT = {
+    "print_time": False,
+    "ipopt.print_level": 0,
+    "ipopt.sb": "yes",
+    "ipopt.tol": 1e-7,
+    "ipopt.constr_viol_tol": 1e-12,
+    "ipopt.acceptable_tol": 1e-6,
+    "ipopt.max_iter": 300,
+    "ipopt.mumps_pivot_order": 0,
+}
+
+
+@dataclass(frozen=True, eq=False)
+class LinearQuadratic:
+    """What the linearised loop is judged by, in training units."""
+
+    Q: Vector  # (n, n)
+    R: Vector  # (m, m)
+    starts: Vector  # (n, n) Σ: mean of (x − x*)(x − x*)ᵀ
+    lqr_cost: float  # tr(P_LQR Σ)
+    fastest: float  # of LQR's modes
+
+
+@dataclass(frozen=True, eq=False)
+class Responsive:
+    """A V and a damping of least cost."""
+
+    weights: Vector  # (form.size,)
+    xi_star: Vector  # (nc,)
+    damping: Vector  # 2m × 2m
+    start: Start
+    before: float  # cost of the linearised loop over LQR's, at the start
+    after: float
+
+
+def least_cost(
+    lifting: Lifting,
+    program: Program,
+    aim: LinearQuadratic,
+    a: Vector,
+    kappa_min: float,
+    weights: Vector,
+    xi_star: Vector,
+    damping: Vector,
+    seed: int,
+    verbose: bool = False,
+) -> Responsive | None:
+    """V and 𝒟 of least cost, from a trained V and its damping; None where the loop has no cost.
+
+    Parameters
+    ----------
+    lifting, program
+        Of the hard form of eq. Loss, for Φ = H + Hc + C with C = K(c).
+    aim
+        The cost.
+    a
+        Curvature asked of ∇²V(z*), (n + nc,).
+    kappa_min
+        Least curvature of the quadratic parts, natural units.
+    weights, xi_star, damping
+        Where to begin.
+    seed
+        That the weights were drawn with.
+    verbose
+        Print IPOPT's iterations.
+    """
+    loop = _Loop(lifting, aim, damping)
+    small = lifting.jets_at(weights, xi_star)
+    eta = np.zeros(loop.eta.numel())
+    P = loop.cost_matrix(small, eta)
+    if P is None:
+        return None
+    w_hat = (weights - lifting.tau) / lifting.sigma
+    nlp = _Nlp(lifting, program, loop, w_hat, xi_star, kappa_min, verbose)
+    began = time.perf_counter()
+    L = np.asarray(np.linalg.cholesky(P), float)
+    solution, objective = nlp.solve(small, eta, L, w_hat)
+    seconds = time.perf_counter() - began
+    found = lifting.sigma * solution.w_hat + lifting.tau
+    xi = solution.small[: lifting.terms.nc]
+    made = np.asarray(loop.damping_of(solution.eta), float)
+    stats = nlp.solver.stats()
+    start = Start(
+        seed=seed,
+        mode="cost",
+        status=str(stats["return_status"]),
+        iterations=int(stats["iter_count"]),
+        seconds=seconds,
+        objective=objective,
+        loss=lifting.loss(found, xi, a),
+    )
+    after = loop.cost_matrix(solution.small, solution.eta)
+    if after is None:
+        return None
+    rounded = np.array([[float(f"{v:.3g}") for v in row] for row in made])
+    kept = rounded if dissipates(rounded) else made
+    return Responsive(found, xi, kept, start, loop.relative(P), loop.relative(after))
+
+
+class _Loop:
+    """A, C_u and 𝒟 in the lifted variables and those of the damping; states in their sizes."""
+
+    def __init__(self, lifting: Lifting, aim: LinearQuadratic, damping: Vector) -> None:
+        terms, self.aim = lifting.terms, aim
+        n, m = terms.n, terms.m
+        self.size = lifting.scales.state
+        self.eta, D = _damping(damping)
+        z = ca.vertcat(ca.SX(lifting.x_star), lifting.xi)
+        G, Gc = terms.G(z[:n]), terms.Gc(lifting.xi)
+        ports = ca.vertcat(ca.horzcat(G, ca.SX(n, m)), ca.horzcat(ca.SX(terms.nc, m), Gc))
+        seen = ports.T @ lifting.N
+        A = terms.M(z) @ lifting.N - ports @ D @ seen
+        input_slope = -D[:m, :] @ seen
+        input_slope[:, n:] -= _controller_slope(lifting)
+        scale, inverse = ca.DM(self.size), ca.DM(1 / self.size)
+        self.A = ca.diag(inverse) @ A @ ca.diag(scale)
+        self.C = input_slope @ ca.diag(scale)
+        Q = np.zeros((len(self.size), len(self.size)))
+        Q[:n, :n] = aim.Q * np.outer(self.size[:n], self.size[:n])
+        self.W = ca.SX(ca.DM(Q)) + self.C.T @ ca.DM(aim.R) @ self.C
+        self.n = n
+        self._matrices = ca.Function("loop", [lifting.small, self.eta], [self.A, self.W])
+        self.damping_of = ca.Function("damping", [self.eta], [D])
+
+    def cost_matrix(self, small: Vector, eta: Vector) -> Vector | None:
+        """P of the Lyapunov equation, (N, N); None where the loop does not decay."""
+        A, W = (np.asarray(v, float) for v in self._matrices.call([small, eta]))
+        if not np.isfinite(A).all() or np.linalg.eigvals(A).real.max() >= 0:
+            return None
+        P = scipy.linalg.solve_continuous_lyapunov(A.T, -W)
+        P = np.asarray((P + P.T) / 2, float)
+        # a state that nothing costs has no share in P: the factor L_P must exist all the same
+        P += 1e-9 * float(np.trace(P)) * np.eye(len(P))
+        return P if np.linalg.eigvalsh(P)[0] > 0 else None
+
+    def relative(self, P: Vector) -> float:
+        """tr(P Z₀) over LQR's."""
+        return float(np.sum(P[: self.n, : self.n] * self.starts) / self.aim.lqr_cost)
+
+    @property
+    def starts(self) -> Vector:
+        """Σ of states in their sizes."""
+        size = self.size[: self.n]
+        return np.asarray(self.aim.starts / np.outer(size, size), float)
+
+
+def _controller_slope(lifting: Lifting) -> ca.SX:
+    """∂(Gcᵀ∇Hc)/∂ξ at ξ*, (m, nc)."""
+    s = ca.SX.sym("s", lifting.terms.nc)
+    energy = lifting.jets[0].model(s)
+    output = lifting.terms.Gc(s).T @ ca.gradient(energy, s)
+    return ca.substitute(ca.jacobian(output, s), s, lifting.xi)
+
+
+def _damping(start: Vector) -> tuple[ca.SX, ca.SX]:
+    """Variables η (0 at the start) and 𝒟 = root (LLᵀ + skew) root, whose diagonal part is first."""
+    size = len(start)
+    below = [(i, j) for i in range(size) for j in range(i)]
+    eta = ca.SX.sym("eta", size + 2 * len(below))
+    L, skew = ca.SX(size, size), ca.SX(size, size)
+    for i in range(size):
+        L[i, i] = ca.exp(eta[i] / 2)
+    for index, (i, j) in enumerate(below):
+        L[i, j] = eta[size + index]
+        skew[i, j] = eta[size + len(below) + index]
+        skew[j, i] = -skew[i, j]
+    root = ca.DM(np.sqrt(np.diag(start)))
+    return eta, ca.diag(root) @ (L @ L.T + skew) @ ca.diag(root)
+
+
+@dataclass(frozen=True, eq=False)
+class _Solution:
+    small: Vector
+    eta: Vector
+    w_hat: Vector
+
+
+class _Nlp:
+    """The hard form and the Lyapunov equation, in (small, L, η, L_P, ŵ)."""
+
+    def __init__(
+        self,
+        lifting: Lifting,
+        program: Program,
+        loop: _Loop,
+        w_hat: Vector,
+        xi_star: Vector,
+        kappa_min: float,
+        verbose: bool,
+    ) -> None:
+        self.lifting, self.program, self.loop = lifting, program, loop
+        size = len(loop.size)
+        self.pattern = [(i, j) for i in range(size) for j in range(i + 1)]
+        entries = ca.SX.sym("p", len(self.pattern))
+        core = self._core(entries)
+        s, e = ca.MX.sym("s", lifting.small.numel()), ca.MX.sym("e", program.extra.numel())
+        eta, p = ca.MX.sym("eta", loop.eta.numel()), ca.MX.sym("p", len(self.pattern))
+        w = ca.MX.sym("w", lifting.form.size)
+        objective, equal, speed = core.call([s, e, eta, p])
+        weights = ca.DM(lifting.sigma) * w + ca.DM(lifting.tau)
+        moved = ca.dot(ca.DM(self._weight_cost()), (w - ca.DM(w_hat)) ** 2) / lifting.form.size
+        nc = lifting.terms.nc
+        away = ca.sumsqr((s[:nc] - ca.DM(xi_star)) / ca.DM(loop.size[-nc:]))
+        objective = objective + (_PROXIMITY * (moved + away) + _DAMPING * ca.sumsqr(eta)) / 2
+        g = ca.vertcat(lifting.residuals(weights, s), equal, speed)
+        self.upper = np.zeros(g.numel())
+        self.lower = np.zeros(g.numel())
+        self.lower[-1] = -np.inf
+        self.bounds = self._bounds(kappa_min)
+        options = _IPOPT | ({"ipopt.print_level": 5} if verbose else {})
+        problem = {"x": ca.vertcat(s, e, eta, p, w), "f": objective, "g": g}
+        self.solver = ca.nlpsol("least_cost", "ipopt", problem, options)
+
+    def _core(self, entries: ca.SX) -> ca.Function:
+        """(small, L, η, L_P) -> (cost and shape, what must vanish, excess of ‖A‖²)."""
+        loop, program, size = self.loop, self.program, len(self.loop.size)
+        L = ca.SX(size, size)
+        for index, (i, j) in enumerate(self.pattern):
+            L[i, j] = entries[index]
+        P, n = L @ L.T, loop.n
+        balance = loop.A.T @ P + P @ loop.A + loop.W
+        vanish = ca.vertcat(program.equalities, *[balance[i, j] for i, j in self.pattern])
+        cost = ca.dot(P[:n, :n], ca.DM(loop.starts)) / loop.aim.lqr_cost
+        excess = ca.sumsqr(loop.A) / (_FASTEST * loop.aim.fastest) ** 2 - size
+        return ca.Function(
+            "core",
+            [self.lifting.small, program.extra, loop.eta, entries],
+            [cost + _SHAPE * program.objective, vanish, excess],
+        )
+
+    def _weight_cost(self) -> Vector:
+        """Of a change in each weight: networks stay as they are."""
+        parts = []
+        for network in self.lifting.form.networks:
+            cost = network.cost
+            tail = 2 * network.inputs if isinstance(network, Network) and network.quadratic else 0
+            cost[: cost.size - tail] *= _NETWORKS_STAY
+            parts.append(cost)
+        return np.concatenate(parts)
+
+    def _bounds(self, kappa_min: float) -> tuple[Vector, Vector]:
+        lifting, program, loop = self.lifting, self.program, self.loop
+        diagonal = 2 * lifting.terms.m
+        eta = np.full(loop.eta.numel(), _COUPLING)
+        low, high = -eta, eta.copy()
+        low[:diagonal], high[:diagonal] = np.log(_LEAST_DAMPING), np.log(_MOST_DAMPING)
+        free = np.full(len(self.pattern), np.inf)
+        networks = [network.lower(kappa_min) for network in lifting.form.networks]
+        lower = [np.full(lifting.small.numel(), -np.inf), program.lower, low, -free, *networks]
+        many = lifting.small.numel() + program.lower.size
+        upper = [np.full(many, np.inf), high, free, np.full(lifting.form.size, np.inf)]
+        return np.concatenate(lower), np.concatenate(upper)
+
+    def solve(
+        self, small: Vector, eta: Vector, L: Vector, w_hat: Vector
+    ) -> tuple[_Solution, float]:
+        """From a trained V, its damping and the factor of its cost."""
+        entries = np.array([L[i, j] for i, j in self.pattern])
+        first = [small, self.program.initial(small), eta, entries, w_hat]
+        with interruptible():
+            result = self.solver(
+                x0=np.concatenate(first),
+                lbx=self.bounds[0],
+                ubx=self.bounds[1],
+                lbg=self.lower,
+                ubg=self.upper,
+            )
+        parts = np.split(np.asarray(result["x"], float).ravel(), np.cumsum([v.size for v in first]))
+        return _Solution(parts[0], parts[2], parts[4]), float(result["f"])
