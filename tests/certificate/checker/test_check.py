@@ -5,6 +5,7 @@ import dataclasses
 import hashlib
 import json
 
+import numpy as np
 import pytest
 from helpers.certificates import altered, claim, verdicts, written
 from helpers.constructed import (
@@ -24,6 +25,7 @@ from necc_casadi.certificate.prover.certify import certify
 from necc_casadi.cli.certify import _certify
 from necc_casadi.cli.terminal import run
 from necc_casadi.errors import OutputError
+from necc_casadi.model.closed_loop import interconnect
 from necc_casadi.model.target import target_from_model
 
 
