@@ -38,9 +38,5 @@ H = p[0] ** 2 / 2 + p[1] ** 2 / 3 + p[2] ** 2 / 4
 units = {**dict.fromkeys(q, "rad"), **dict.fromkeys(p, "kg m²/s")}
 target = {q[0]: sp.pi / 6, q[1]: sp.pi / 8, q[2]: -sp.pi / 5, **dict.fromkeys(p, 0)}
 xi = sp.symbols("xi1:4", real=True)
-domain = {
-    q[1]: (-1, sp.Rational(6, 5)),
-    **dict.fromkeys(xi, (-sp.Rational(5, 2), sp.Rational(3, 2))),
-}
 Jc, Rc = sp.zeros(3, 3), sp.zeros(3, 3)
 Gc = kinematics(xi)

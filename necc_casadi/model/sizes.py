@@ -139,7 +139,12 @@ def natural_sizes(
         given.get(name, _input_size(local, state, time, k))
         for k, name in enumerate(input_names(plant.m))
     ]
-    controller = _controller_sizes(loop, given, slopes, state, energy, np.array(inputs), xi)
+    matrices = (loop.controller.Jc, loop.controller.Rc, loop.controller.Gc)
+    entries = [*casimirs, *(e for matrix in matrices for e in sp.Matrix(matrix))]
+    turning = _turning(entries, loop.controller.xi)
+    controller = _controller_sizes(
+        loop, turning | given, slopes, state, energy, np.array(inputs), xi
+    )
     names = (*loop.states, *input_names(plant.m))
     everything = _sound(np.concatenate([state, controller]))
     return Sizes(
@@ -291,16 +296,20 @@ def _displacements(plant: Plant, x_star: Mapping[sp.Symbol, sp.Expr], local: _Lo
 def _angles(plant: Plant) -> dict[str, float]:
     """1 rad for each state that is an angle: by its unit, or as a linear part of sin, cos, tan."""
     found = {name: 1.0 for name, unit in plant.units.items() if unit == "rad"}
-    entries = [plant.H, *plant.J, *plant.R, *plant.G]
-    waves = set().union(*(entry.atoms(sp.sin, sp.cos, sp.tan) for entry in entries))
+    return _turning([plant.H, *plant.J, *plant.R, *plant.G], plant.x) | found
+
+
+def _turning(entries: Iterable[sp.Expr], states: Iterable[sp.Symbol]) -> dict[str, float]:
+    """1 rad for each state that is a linear part of an angle of sin, cos or tan."""
+    waves = set().union(*(sp.sympify(e).atoms(sp.sin, sp.cos, sp.tan) for e in entries))
     least: dict[str, float] = {}
     for wave in waves:
-        for s in wave.args[0].free_symbols & set(plant.x):
+        for s in wave.args[0].free_symbols & set(states):
             turns = sp.diff(wave.args[0], s)
             if turns.is_number:
                 factor = abs(float(turns))
                 least[str(s)] = min(factor, least.get(str(s), np.inf))
-    return {name: 1 / factor for name, factor in least.items() if factor > 0} | found
+    return {name: 1 / factor for name, factor in least.items() if factor > 0}
 
 
 def _energy(
@@ -378,14 +387,17 @@ def _slopes(
 
 def _controller_sizes(
     loop: ClosedLoop,
-    given: Mapping[str, float],
+    known: Mapping[str, float],
     slopes: Vector,
     state: Vector,
     energy: float,
     inputs: Vector,
     xi: Vector | None,
 ) -> Vector:
-    """Sizes of the controller states: given, from the Casimirs, or from what drives them, (nc,)."""
+    """Sizes of the controller states, (nc,).
+
+    Those that are known, from the Casimirs, or from what drives them.
+    """
     n, controller = loop.plant.n, loop.controller
     reach = np.max(slopes[:, :n] * state, axis=1, initial=0.0)
     values = np.zeros(controller.nc) if xi is None else xi
@@ -395,5 +407,5 @@ def _controller_sizes(
     for k, name in enumerate(controller.states):
         tied = [r / s for r, s in zip(reach, slopes[:, n + k], strict=True) if s > 0]
         driven = float(np.max(Gc[k] * energy / inputs, initial=0.0))
-        result.append(given.get(name) or geometric_mean(tied) or driven or 1.0)
+        result.append(known.get(name) or geometric_mean(tied) or driven or 1.0)
     return np.array(result, float)

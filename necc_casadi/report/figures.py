@@ -37,6 +37,9 @@ _INK, _TARGET, _MINIMUM, _UNSETTLED = "#1f4e79", "#d9730d", "#2e7d32", "#a8324a"
 _MOST_PANELS = 10
 
 
+#: Least and greatest value of each state on Ω; None: every value.
+Reach = Mapping[str, Side | None]
+
 #: Room around the reach of Ω, as a share of it.
 _BESIDE = 0.15
 
@@ -100,7 +103,7 @@ def _mark_minima(design: Design, axis: Axes, i: int, j: int) -> None:
 
 
 def region_boundary(
-    design: Design, level: float, reach: Mapping[str, Side] | None = None, count: int = 12
+    design: Design, level: float, reach: Reach | None = None, count: int = 12
 ) -> list[Vector]:
     """Plant states on the boundary of {V ≤ level} in the plane that the figures show, ξ = ξ*.
 
@@ -129,19 +132,20 @@ def _window(design: Design, level: float, sides: tuple[Side, Side] | None) -> tu
     return window.around(edge), edge
 
 
-def _telling_sides(design: Design, reach: Mapping[str, Side] | None) -> tuple[Side, Side] | None:
-    """The reach of the two states that are shown."""
+def _telling_sides(design: Design, reach: Reach | None) -> tuple[Side, Side] | None:
+    """The reach of the two states that are shown; None where one may take every value."""
     if reach is None:
         return None
     i, j = domain_window(design).pair
-    return reach[design.loop.states[i]], reach[design.loop.states[j]]
+    first, second = reach[design.loop.states[i]], reach[design.loop.states[j]]
+    return None if first is None or second is None else (first, second)
 
 
 def region_figure(
     design: Design,
     level: float,
     responses: Sequence[Trajectory],
-    reach: Mapping[str, Side] | None = None,
+    reach: Reach | None = None,
 ) -> Figure:
     """The proved region over V's contours: its slice at z*, its shadow, responses from the slice.
 

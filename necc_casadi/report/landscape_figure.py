@@ -40,7 +40,7 @@ def landscape_figure(design: Design, certificate: Certificate) -> Figure | None:
     None where no region is proved, or s is none or more than two states.
     """
     region, obstacle = certificate.region, certificate.obstacle
-    if region is None or obstacle is None or not 1 <= len(region.kept) <= _MOST:
+    if not isinstance(region, Region) or obstacle is None or not 1 <= len(region.kept) <= _MOST:
         return None
     picture = _Picture(design, region, obstacle, certificate.level_above_minimum or 0.0)
     figure = Figure(figsize=(6.4, 4.6), layout="constrained")

@@ -119,7 +119,7 @@ def _certificate(certificate: Certificate, found: Findings) -> dict[str, Any]:
             "at": dict(obstacle.at),
             "level_above_minimum": obstacle.level_above_minimum,
         },
-        "reach": None if reach is None else {name: list(ends) for name, ends in reach.items()},
+        "reach": None if reach is None else {k: v and list(v) for k, v in reach.items()},
         "domain_share": found.domain_share,
         "simulated_share": found.simulated_share,
         "global": certificate.is_global,

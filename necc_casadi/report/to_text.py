@@ -282,11 +282,15 @@ def _reach(found: Findings, certificate: Certificate) -> str:
     """Between which values every state stays on Ω."""
     units, reach = found.loop.plant.units, certificate.reach or {}
     parts = [
-        _tied(f"{name} {lo:.3g} … {hi:.3g} {units.get(name, '')}".rstrip())
-        for name, (lo, hi) in reach.items()
+        _tied(f"{name} any" if side is None else _side(name, side, units.get(name, "")))
+        for name, side in reach.items()
     ]
     more = ["…"] if len(parts) > _MANY else []
     return ", ".join(parts[:_MANY] + more)
+
+
+def _side(name: str, side: tuple[float, float], unit: str) -> str:
+    return f"{name} {side[0]:.3g} … {side[1]:.3g} {unit}".rstrip()
 
 
 def percent(share: float, digits: int = 2) -> str:

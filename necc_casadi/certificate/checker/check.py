@@ -26,7 +26,7 @@ from necc_casadi.certificate.checker.reading import (
     read_folder,
     unreadable,
 )
-from necc_casadi.certificate.checker.region.region import RegionProof, check_region
+from necc_casadi.certificate.checker.region.region import check_region, region_proof
 
 __all__ = ["check"]
 
@@ -90,7 +90,7 @@ def _everything(evidence: Evidence) -> list[Checked]:
     settled = (check_attraction if attracts else check_only_stable)(evidence, sound)
     results = [equilibrium, *decrease, settled]
     region = certificate.region
-    proof, region_holds = None if region is None else RegionProof(evidence, region), False
+    proof, region_holds = None if region is None else region_proof(evidence, region), False
     if "region" in evidence.claims or certificate.region is not None:
         checked = check_region(evidence, proof, settled.holds)
         region_holds = checked.holds

@@ -12,7 +12,6 @@ from necc_casadi.certificate.checker.arithmetic.balls import Box
 from necc_casadi.certificate.checker.arithmetic.potential import Energy
 from necc_casadi.certificate.checker.arithmetic.smooth import is_smooth_everywhere
 from necc_casadi.certificate.checker.evidence import Checked, Evidence, Obligation
-from necc_casadi.certificate.checker.invariant_sets import largest_invariant_set_is_critical
 from necc_casadi.certificate.checker.momenta import are_momenta
 from necc_casadi.certificate.checker.region.floor import FloorProof
 from necc_casadi.certificate.checker.region.reduced import Reduced
@@ -22,8 +21,10 @@ from necc_casadi.certificate.checker.region.whole import (
     is_unique,
     repeats_positively,
 )
+from necc_casadi.certificate.checker.solutions import what_follows
 from necc_casadi.certificate.claims import statements
-from necc_casadi.certificate.claims.regions import Follows, GlobalClaim
+from necc_casadi.certificate.claims.motions import Solutions
+from necc_casadi.certificate.claims.regions import GlobalClaim
 
 __all__ = ["check_global"]
 
@@ -34,12 +35,12 @@ def check_global(evidence: Evidence, sound: bool) -> Checked:
         return Checked("global", False, "no global claim is held")
     claim = GlobalClaim.read(evidence.claims["global"].data)
     check_split_shape(claim, len(evidence.model.z))
-    proof = _WholeSpace(evidence, claim)
+    proof, solutions = _WholeSpace(evidence, claim), Solutions(claim.follows, claim.motion)
     stable = ("z̄ is stable", lambda: sound)
     return Checked.by(
         "global",
         statements.GLOBAL[claim.follows],
-        [stable, *proof.obligations(), proof.follows(claim.follows)],
+        [stable, *proof.obligations(), what_follows(evidence, solutions, proof.resting, None)],
     )
 
 
@@ -65,20 +66,6 @@ class _WholeSpace:
             ("∂²H/∂p² ≻ 0 for all states", self._has_inertia),
             ("V is radially unbounded with one critical point", self._is_unique),
         ]
-
-    def follows(self, follows: Follows) -> Obligation:
-        """What follows for all solutions: of two truths the weaker may be claimed."""
-        attracts = self.evidence.certificate.stability == "asymptotic"
-
-        def every() -> bool:
-            return largest_invariant_set_is_critical(self.model, self.resting, None)
-
-        obligations: dict[Follows, Obligation] = {
-            "converges": ("invariant sets are critical points", lambda: attracts and every()),
-            "invariant": ("z̄ is locally asymptotically stable", lambda: attracts),
-            "stable": ("no more than stability is proved of z̄", lambda: not attracts),
-        }
-        return obligations[follows]
 
     def _varying(self) -> set[sp.Symbol]:
         model = self.model

@@ -9,7 +9,7 @@ from necc_casadi.certificate.checker.arithmetic.balls import Box, ball, by_bisec
 from necc_casadi.certificate.checker.arithmetic.potential import Energy
 from necc_casadi.certificate.checker.evidence import Checked, Evidence
 from necc_casadi.certificate.checker.model import StoredDesign
-from necc_casadi.certificate.checker.region.region import RegionProof
+from necc_casadi.certificate.checker.region.proof import RegionProof
 from necc_casadi.certificate.claims import statements
 
 __all__ = ["InputProof", "check_input_limits"]
@@ -98,15 +98,15 @@ def check_input_limits(evidence: Evidence, proof: RegionProof | None, sound: boo
         text = f"no input limits are proved to be kept, for want of {missing}"
         return Checked("input_limits", False, text)
     height = float(evidence.claims["input_limits"].data["level_above_minimum"])
-    natural, region, bottom = level / unit, proof.region, proof.bottom
+    natural, bottom = level / unit, proof.bottom
     inputs = InputProof(evidence.model, proof.energy, natural)
     return Checked.by(
         "input_limits",
-        statements.input_limits(limits, height, natural == region.level),
+        statements.input_limits(limits, height, natural == proof.level),
         [
             ("V(z̄) < c_u", lambda: bool(bottom < natural)),
             ("c_u is as high above V(z̄)", lambda: bool(bottom + height / unit <= natural)),
-            ("c_u ≤ c", lambda: natural <= region.level),
+            ("c_u ≤ c", lambda: natural <= proof.level),
             ("the momenta enter u through Gᵀ Φ₁ A s alone", inputs.covered),
             (
                 "u is within its limits where V ≤ c_u",

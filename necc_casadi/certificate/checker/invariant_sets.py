@@ -17,7 +17,7 @@ from necc_casadi.certificate.checker.arithmetic.smooth import is_smooth_on
 from necc_casadi.certificate.checker.model import StoredDesign
 from necc_casadi.symbolic.zero import is_zero
 
-__all__ = ["largest_invariant_set_is_critical", "loop_is_defined"]
+__all__ = ["OverBox", "largest_invariant_set_is_critical", "loop_is_defined"]
 
 
 #: How often a box may be halved before a test on it counts as failed.
@@ -25,7 +25,7 @@ _DEPTH = 14
 
 
 def largest_invariant_set_is_critical(
-    model: StoredDesign, resting: Sequence[int], box: Box | None
+    model: StoredDesign, resting: Sequence[int], place: OverBox | None
 ) -> bool:
     """Whether solutions on which V stays constant are critical points of V, in a box of all states.
 
@@ -35,11 +35,12 @@ def largest_invariant_set_is_critical(
     these keep ∂V/∂s = 0 and so, ∂²H/∂s² ≻ 0 being proved, stay: ∇V = 0. For all of the space
     (None) only what is constant counts.
     """
-    if box is None and (model.Jcl.free_symbols or model.ports.free_symbols):
+    whole = place is None
+    if whole and (model.Jcl.free_symbols or model.ports.free_symbols):
         return False
-    here = _OverBox(model, box)
+    here = place or OverBox(model.z, tuple((0.0, 0.0) for _ in model.z))
     seen = model.ports.T.col_join(model.Rcl)
-    if box is None:
+    if whole:
         seen = seen[[i for i in range(seen.rows) if not seen.row(i).free_symbols], :]
     if not here.defined(sp.Matrix(model.Jcl - model.Rcl)):
         return False
@@ -84,12 +85,11 @@ def _kernel(Z: sp.Matrix, columns: Sequence[int]) -> sp.Matrix:
     return Q
 
 
-class _OverBox:
-    """Matrices of expressions over a box, or where they are constant."""
+class OverBox:
+    """Matrices of expressions over a box of all states."""
 
-    def __init__(self, model: StoredDesign, box: Box | None) -> None:
-        self.z = model.z
-        self.box: Box = tuple((0.0, 0.0) for _ in self.z) if box is None else box
+    def __init__(self, z: Sequence[sp.Symbol], box: Box) -> None:
+        self.z, self.box = z, box
 
     def _enclosed(self, matrix: sp.Matrix, box: Box) -> arb_mat:
         values = {v: ball(*b) for v, b in zip(self.z, box, strict=True)}

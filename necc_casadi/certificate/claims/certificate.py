@@ -10,6 +10,7 @@ from typing import Any
 
 from necc_casadi.certificate.claims import statements
 from necc_casadi.certificate.claims.claim import CERTIFICATE_FILE, CERTIFICATE_FORMAT, Claim
+from necc_casadi.certificate.claims.curved import CurvedRegion
 from necc_casadi.certificate.claims.fields import read_as
 from necc_casadi.certificate.claims.regions import (
     Lyapunov,
@@ -58,9 +59,10 @@ class Certificate:
     level_above_minimum: float | None = None  # c − V(z̄) is at least this
     level_u: float | None = None  # c_u ≤ c with u within its limits on {V ≤ c_u}
     obstacle: Obstacle | None = None  # what the region stays just below
-    reach: Mapping[str, Side] | None = None  # state → least and greatest value on the region
+    #: state → least and greatest value on the region; None: an angle that may take every value
+    reach: Mapping[str, Side | None] | None = None
     is_global: bool = False
-    region: Region | None = None  # in natural units
+    region: Region | CurvedRegion | None = None  # in natural units
 
     @property
     def certified(self) -> bool:
@@ -124,7 +126,11 @@ class Certificate:
         """
         if (found := data["format"]) != CERTIFICATE_FORMAT:
             raise OutputError("output", f"{label} has format {found!r:.20}", _REMEDY)
-        return read_as(cls, data)
+        return read_as(cls, data, region=_read_region)
+
+
+def _read_region(data: Mapping[str, Any]) -> Region | CurvedRegion:
+    return read_as(CurvedRegion, data) if data["method"] == "curved" else read_as(Region, data)
 
 
 _REMEDY = f"Run necc-design again; this version reads format {CERTIFICATE_FORMAT}."

@@ -8,13 +8,13 @@ velocities are w_s = As, and s = A⁻¹w_s.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
-from necc_casadi.certificate.claims.fields import read_as
+__all__ = ["Follows", "Rule", "Solutions", "Step"]
 
-__all__ = ["Rule", "Step", "read_steps"]
+#: What is proved of solutions from a set: all go to z̄, some do, or they stay.
+Follows = Literal["converges", "invariant", "stable"]
 
 #: rate (i): żᵢ is a combination of constants; being bounded, zᵢ is constant and the rate 0.
 #: steady (i): wᵢ is constant, since it depends on constant states and on Casimirs alone.
@@ -36,18 +36,15 @@ class Step:
     rule: Rule
     states: tuple[int, ...]
 
+
+@dataclass(frozen=True)
+class Solutions:
+    """What is proved of solutions from a set, and the steps that it takes, if any."""
+
+    follows: Follows
+    motion: tuple[Step, ...] = ()
+
     @property
     def data(self) -> dict[str, Any]:
-        """The entry of certificate.json."""
-        return {"rule": self.rule, "states": list(self.states)}
-
-
-def read_steps(entries: Sequence[Mapping[str, Any]]) -> tuple[Step, ...]:
-    """A derivation from its entry of certificate.json.
-
-    Raises
-    ------
-    KeyError, ValueError
-        When an entry is missing or has another type.
-    """
-    return tuple(read_as(Step, entry) for entry in entries)
+        """The entries of certificate.json."""
+        return asdict(self)

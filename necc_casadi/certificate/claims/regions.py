@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 import zlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import cached_property
 from typing import Any, Literal
 
@@ -13,12 +13,12 @@ import numpy as np
 
 from necc_casadi.arrays import Truth, Vector
 from necc_casadi.certificate.claims.fields import read_as
+from necc_casadi.certificate.claims.motions import Follows, Step
 
 __all__ = [
     "MOST_CELLS",
     "Bends",
     "CellBox",
-    "Follows",
     "GlobalClaim",
     "Leaf",
     "Lyapunov",
@@ -45,8 +45,6 @@ Bends = tuple[float | None, float | None]
 
 #: What is proved of z̄.
 Stability = Literal["asymptotic", "stable"]
-#: What is proved of solutions from a region: all go to z̄, some do, or they stay.
-Follows = Literal["converges", "invariant", "stable"]
 #: What a region ends at: another critical point of V, a pole of the model, the user's own bounds of
 #: states or inputs; or the proof gave up below one of these.
 ObstacleKind = Literal["critical_point", "singularity", "domain", "input_limits", "arithmetic"]
@@ -107,6 +105,7 @@ class Region:
     box: CellBox  # of s
     core: tuple[Side, ...]  # around s̄, with ∇²w ≻ 0
     cells: str  # the marked cells, see `packed`
+    method: Literal["cells"] = "cells"
 
     @cached_property
     def leaves(self) -> tuple[Leaf, ...]:
@@ -167,11 +166,12 @@ class GlobalClaim:
     bends: Bends  # what F rests on
     core: tuple[Side, ...]  # around s̄, with ∇²w ≻ 0
     follows: Follows
+    motion: tuple[Step, ...] = ()  # what that rests on, if on anything
 
     @property
     def data(self) -> dict[str, Any]:
         """The entries of certificate.json."""
-        return dict(vars(self))
+        return asdict(self)
 
     @classmethod
     def read(cls, data: Mapping[str, Any]) -> GlobalClaim:

@@ -12,7 +12,8 @@ from collections.abc import Mapping, Sequence
 from decimal import ROUND_CEILING, ROUND_FLOOR, Decimal
 from typing import Literal, get_args
 
-from necc_casadi.certificate.claims.regions import MOST_KEPT, Follows, Obstacle, ObstacleKind
+from necc_casadi.certificate.claims.motions import Follows
+from necc_casadi.certificate.claims.regions import MOST_KEPT, Obstacle, ObstacleKind
 
 __all__ = [
     "DAMPING",
@@ -177,7 +178,8 @@ def region(height: float, obstacle: Obstacle, follows: Follows) -> str:
 
 def limited_by(obstacle: Obstacle) -> str:
     """What a region stays just below."""
-    told = {name: value for name, value in obstacle.at.items() if value}
+    many = len(obstacle.at) > _TOLD
+    told = {name: value for name, value in obstacle.at.items() if value or not many}
     parts = [f"{name} = {value:.4g}" for name, value in list(told.items())[:_TOLD]]
     place = f" at {', '.join(parts)}{', …' if len(told) > _TOLD else ''}" if parts else ""
     return (

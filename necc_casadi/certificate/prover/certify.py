@@ -11,11 +11,12 @@ import numpy as np
 from necc_casadi.certificate.claims import statements
 from necc_casadi.certificate.claims.certificate import Certificate
 from necc_casadi.certificate.claims.claim import Claim
+from necc_casadi.certificate.claims.motions import Solutions
 from necc_casadi.certificate.claims.regions import (
     MOST_KEPT,
-    Follows,
     GlobalClaim,
     Obstacle,
+    Side,
     Stability,
 )
 from necc_casadi.certificate.claims.units import Units
@@ -25,12 +26,9 @@ from necc_casadi.certificate.prover.attraction import prove_attraction, prove_on
 from necc_casadi.certificate.prover.decrease import prove_decrease
 from necc_casadi.certificate.prover.equilibrium import Equilibrium, prove_equilibrium
 from necc_casadi.certificate.prover.global_stability import prove_global_stability
-from necc_casadi.certificate.prover.invariant_sets import largest_invariant_set_is_critical
-from necc_casadi.certificate.prover.region.region import (
-    RegionProof,
-    prove_region,
-    prove_region_within_limits,
-)
+from necc_casadi.certificate.prover.region.proof import RegionProof
+from necc_casadi.certificate.prover.region.region import prove_region, prove_region_within_limits
+from necc_casadi.certificate.prover.solutions import what_follows
 from necc_casadi.designs.design import Design
 
 __all__ = ["certify"]
@@ -119,13 +117,15 @@ def _extended(
     if stability is None:
         missing = Claim("region", False, statements.NO_REGION)
         return replace(certificate, claims=(*certificate.claims, missing))
-    reduced = Potential(potential.design, design.momenta)
-    z_bar = equilibrium.box[list(reduced.active)]
-    everywhere = prove_global_stability(reduced, z_bar, stability == "asymptotic")
-    proof = _region(reduced, z_bar, isinstance(everywhere, GlobalClaim))
+    reduced, minimum = Potential(potential.design, design.momenta), equilibrium.box
+    everywhere = prove_global_stability(reduced, minimum, stability == "asymptotic")
+    proof = _region(reduced, minimum, isinstance(everywhere, GlobalClaim))
     claims = []
-    if proof is not None or not isinstance(everywhere, GlobalClaim):
-        claims.append(_region_claim(design, proof, stability))
+    if proof is not None:
+        solutions = what_follows(design.natural, stability == "asymptotic", minimum, proof.place)
+        claims.append(_region_claim(design, proof, solutions))
+    elif not isinstance(everywhere, GlobalClaim):
+        claims.append(Claim("region", False, _no_region(design)))
     if design.loop.plant.u_limits is not None:
         claims.append(_limits_claim(design, proof))
     claims.append(_global_claim(everywhere))
@@ -140,21 +140,21 @@ def _extended(
     level_u = proof.level_u if limited else None
     return replace(
         found,
-        level=energy * proof.component.level,
-        level_above_minimum=energy * proof.height(proof.component.level),
+        level=energy * proof.level,
+        level_above_minimum=energy * proof.height(proof.level),
         level_u=None if level_u is None else energy * level_u,
         obstacle=_obstacle(design, proof),
         reach=_reach(design, proof),
-        region=proof.component.region,
+        region=proof.region,
     )
 
 
-def _region(reduced: Potential, z_bar: Interval, whole: bool) -> RegionProof | None:
+def _region(reduced: Potential, minimum: Interval, whole: bool) -> RegionProof | None:
     """Where the whole space is proved, a region still says where bounds and inputs are kept."""
     plant = reduced.design.loop.plant
     if not whole or plant.domain:
-        return prove_region(reduced, z_bar)
-    return None if plant.u_limits is None else prove_region_within_limits(reduced, z_bar)
+        return prove_region(reduced, minimum)
+    return None if plant.u_limits is None else prove_region_within_limits(reduced, minimum)
 
 
 def units_of(design: Design) -> Units:
@@ -164,19 +164,19 @@ def units_of(design: Design) -> Units:
 
 
 def _obstacle(design: Design, proof: RegionProof) -> Obstacle:
-    found, states = proof.component.obstacle, design.loop.states
+    found, states = proof.obstacle, design.loop.states
     still = np.where(np.abs(found.z) < _NOTHING, 0.0, found.z)
     place = units_of(design).place(range(len(still)), map(float, still))
     height = design.units.energy * (found.level - proof.bottom)
     return Obstacle(found.kind, dict(zip(states[: len(place)], place, strict=True)), height)
 
 
-def _reach(design: Design, proof: RegionProof) -> dict[str, tuple[float, float]]:
+def _reach(design: Design, proof: RegionProof) -> dict[str, Side | None]:
+    box, states = proof.place.box, design.loop.states
     lo, hi = (
-        units_of(design).place(range(design.loop.n), map(float, ends))
-        for ends in (proof.reach.lo, proof.reach.hi)
+        units_of(design).place(range(len(states)), map(float, ends)) for ends in (box.lo, box.hi)
     )
-    return dict(zip(design.loop.states, zip(lo, hi, strict=True), strict=True))
+    return {name: None if i in proof.angles else (lo[i], hi[i]) for i, name in enumerate(states)}
 
 
 def _global_claim(found: GlobalClaim | statements.Missing) -> Claim:
@@ -185,13 +185,10 @@ def _global_claim(found: GlobalClaim | statements.Missing) -> Claim:
     return Claim("global", True, statements.GLOBAL[found.follows], found.data)
 
 
-def _region_claim(design: Design, proof: RegionProof | None, stability: Stability) -> Claim:
-    if proof is None:
-        return Claim("region", False, _no_region(design))
-    follows = _follows(design.natural, proof, stability)
-    height = design.units.energy * proof.height(proof.component.level)
-    text = statements.region(height, _obstacle(design, proof), follows)
-    return Claim("region", True, text, {"follows": follows})
+def _region_claim(design: Design, proof: RegionProof, solutions: Solutions) -> Claim:
+    height = design.units.energy * proof.height(proof.level)
+    text = statements.region(height, _obstacle(design, proof), solutions.follows)
+    return Claim("region", True, text, solutions.data)
 
 
 def _no_region(design: Design) -> str:
@@ -199,20 +196,12 @@ def _no_region(design: Design) -> str:
     return statements.TOO_MANY if left > MOST_KEPT else statements.NO_NEIGHBOURHOOD
 
 
-def _follows(design: Design, proof: RegionProof, stability: Stability) -> Follows:
-    """What follows for solutions from the region (LaSalle's invariance principle)."""
-    if stability != "asymptotic":
-        return "stable"
-    every = largest_invariant_set_is_critical(design, design.momenta, proof.reach)
-    return "converges" if every else "invariant"
-
-
 def _limits_claim(design: Design, proof: RegionProof | None) -> Claim:
     limits, energy = design.loop.plant.u_limits or (), design.units.energy
     if proof is None or proof.level_u is None:
         return Claim("input_limits", False, statements.no_limits(limits))
     height = energy * proof.height(proof.level_u)
-    whole = proof.level_u == proof.component.level
+    whole = proof.level_u == proof.level
     text = statements.input_limits(limits, height, whole)
     return Claim("input_limits", True, text, {"level_above_minimum": height})
 

@@ -14,20 +14,20 @@ from itertools import islice
 import numpy as np
 import sympy as sp
 
-from necc_casadi.certificate.claims.regions import Follows, GlobalClaim, rows
+from necc_casadi.certificate.claims.regions import GlobalClaim, rows
 from necc_casadi.certificate.claims.statements import Missing
 from necc_casadi.certificate.prover.arithmetic.boxes import matrix_enclosure
 from necc_casadi.certificate.prover.arithmetic.definite import positive_definite
 from necc_casadi.certificate.prover.arithmetic.intervals import Interval
 from necc_casadi.certificate.prover.arithmetic.potential import Potential
 from necc_casadi.certificate.prover.arithmetic.smooth import is_smooth_everywhere, written
-from necc_casadi.certificate.prover.invariant_sets import largest_invariant_set_is_critical
 from necc_casadi.certificate.prover.region.critical_box import critical_box, is_periodic, periods
 from necc_casadi.certificate.prover.region.leaves import Base, prove_unique
 from necc_casadi.certificate.prover.region.obstacle import search
 from necc_casadi.certificate.prover.region.partial import sides
 from necc_casadi.certificate.prover.region.reduced import Reduced
 from necc_casadi.certificate.prover.region.split import Splits
+from necc_casadi.certificate.prover.solutions import what_follows
 from necc_casadi.designs.design import Design
 
 __all__ = ["prove_global_stability"]
@@ -42,13 +42,13 @@ _ROOM = 0.02
 
 
 def prove_global_stability(
-    potential: Potential, z_bar: Interval, attracts: bool
+    potential: Potential, minimum: Interval, attracts: bool
 ) -> GlobalClaim | Missing:
     """One critical point, V radially unbounded, and what follows; or what is missing.
 
-    `potential` has the momenta at rest; `z_bar` (d,) holds z̄ in the other states.
+    `potential` has the momenta at rest; `minimum` (N,) holds z̄.
     """
-    design = potential.design
+    design, z_bar = potential.design, minimum[list(potential.active)]
     missing = _beyond_scope(design)
     if missing is not None:
         return missing
@@ -57,10 +57,6 @@ def prove_global_stability(
     box = critical_box(potential)
     if box is None:
         return "V is not proved to be radially unbounded"
-    follows: Follows = "stable"
-    if attracts:
-        critical = largest_invariant_set_is_critical(design, potential.resting, None)
-        follows = "converges" if critical else "invariant"
     splits = Splits(potential)
     others: Missing = "V is not proved to have no other critical point"
     for reduced in islice(splits.candidates(box), _SPLITS):
@@ -68,8 +64,11 @@ def prove_global_stability(
             return others
         core = _core_of_the_one(reduced, box, z_bar)
         if core is not None:
-            kept, floor = reduced.kept, rows(reduced.floor)
-            return GlobalClaim(potential.active, kept, floor, splits.bends, sides(core), follows)
+            found = what_follows(design, attracts, minimum, None)
+            return GlobalClaim(
+                potential.active, reduced.kept, rows(reduced.floor), splits.bends, sides(core),
+                found.follows, found.motion,
+            )  # fmt: skip
     return others
 
 

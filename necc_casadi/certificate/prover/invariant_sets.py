@@ -32,7 +32,7 @@ from necc_casadi.designs.design import Design
 from necc_casadi.symbolic.linear_algebra import kernel
 from necc_casadi.symbolic.zero import is_zero
 
-__all__ = ["largest_invariant_set_is_critical", "loop_is_defined"]
+__all__ = ["OverBox", "largest_invariant_set_is_critical", "loop_is_defined"]
 
 
 #: Cells on which a matrix that depends on the state is bounded, in all.
@@ -44,21 +44,21 @@ _SMALL = 1e-8
 
 
 def largest_invariant_set_is_critical(
-    design: Design, resting: Sequence[int], box: Interval | None = None
+    design: Design, resting: Sequence[int], place: OverBox | None = None
 ) -> bool:
-    """Whether (a)–(c) are proved on a box of all states (N,), on the whole space for None.
+    """Whether (a)–(c) are proved in a box of all states, on the whole space for None.
 
     For the whole space only rows that are constant count. False means: not proved.
     """
     loop = design.loop
-    symbols, whole = loop.z, Interval(np.zeros(loop.n), np.zeros(loop.n))
-    if box is None and (loop.ports.free_symbols or loop.J.free_symbols):
+    whole = place is None
+    if whole and (loop.ports.free_symbols or loop.J.free_symbols):
         return False
-    place = _OverBox(symbols, whole if box is None else box)
+    place = place or OverBox(loop.z, Interval(np.zeros(loop.n), np.zeros(loop.n)))
     visible = [
         row
         for row in sp.Matrix.vstack(sp.Matrix(loop.ports.T), sp.Matrix(loop.R)).tolist()
-        if any(row) and (box is not None or not sp.Matrix([row]).free_symbols)
+        if any(row) and not (whole and sp.Matrix([row]).free_symbols)
     ]
     visible.sort(key=lambda row: bool(sp.Matrix([row]).free_symbols))
     Z = sp.Matrix(visible)
@@ -85,8 +85,8 @@ def loop_is_defined(design: Design, box: Interval) -> bool:
     return is_smooth_on(written(design), design.loop.z, box)
 
 
-class _OverBox:
-    """Matrices of expressions over a box of states."""
+class OverBox:
+    """Matrices of expressions over a box (N,) of all states."""
 
     def __init__(self, symbols: Sequence[sp.Symbol], box: Interval) -> None:
         self.symbols, self.box = symbols, box

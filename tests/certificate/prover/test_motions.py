@@ -13,7 +13,8 @@ from scipy.integrate import solve_ivp
 from necc_casadi.certificate.checker import motions as checked
 from necc_casadi.certificate.checker.arithmetic.potential import Energy
 from necc_casadi.certificate.checker.model import StoredDesign
-from necc_casadi.certificate.claims.motions import Step, read_steps
+from necc_casadi.certificate.claims.fields import read_as
+from necc_casadi.certificate.claims.motions import Solutions, Step
 from necc_casadi.certificate.prover.arithmetic.intervals import Interval
 from necc_casadi.certificate.prover.motions import no_motion_without_loss
 from necc_casadi.lyapunov.networks import Network
@@ -99,7 +100,8 @@ def test_plants_whose_unactuated_states_the_casimirs_give_away(make, box):
     assert np.abs(np.asarray(design.lyapunov.gradient(design.z_bar), float)).max() < 1e-9
     steps = both(design, box)
     assert steps is not None
-    assert read_steps([step.data for step in steps]) == steps
+    claim = Solutions("converges", steps)
+    assert read_as(Solutions, json.loads(json.dumps(claim.data))) == claim
 
 
 def test_the_class_of_full_dissipation_is_covered():

@@ -30,13 +30,16 @@ from necc_casadi.certificate.checker.evidence import Obligation
 from necc_casadi.certificate.checker.momenta import are_momenta
 from necc_casadi.certificate.checker.region.poles import Surroundings
 from necc_casadi.certificate.claims.curved import CurvedRegion, Faces
+from necc_casadi.certificate.claims.regions import Side
 from necc_casadi.symbolic.expressions import parse
 from necc_casadi.symbolic.zero import is_zero
 
-__all__ = ["CurvedProof"]
+__all__ = ["PERIOD", "CurvedProof"]
 
 #: Half a period and a little more; how often a box may be halved; cells at most.
 _HALF_PERIOD, _DEPTH, _MOST = 3.1415927, 14, 100_000
+#: A little more than a period, of a state that may take every value.
+PERIOD = (-_HALF_PERIOD, _HALF_PERIOD)
 
 
 class CurvedProof:
@@ -58,7 +61,7 @@ class CurvedProof:
             ("K and Hc are as strongly convex as claimed", self._floored),
             ("V(z̄) < c ≤ V(z̄) + h", self._rises),
             ("each state q has faces around z̄, or is an angle", self._faced),
-            ("the loop has no pole between the faces", self._without_pole),
+            ("everything is smooth between the faces", self._is_smooth),
             ("∇Hc = 0 at critical points", self._block_is_regular),
             ("the momenta have positive definite inertia and stay in the domain", self._stiff),
             ("the region stays in the user's domain", self._in_domain),
@@ -76,6 +79,27 @@ class CurvedProof:
         middles = self.z_bar[self.r :]
         xi = [ends(m + ball(-1.0, 1.0) * w.upper()) for m, w in zip(middles, half, strict=True)]
         return (*sides, *xi)
+
+    def reaches(self, claimed: Sequence[Side | None]) -> bool:
+        """Whether the sides of all states hold the region; None stands for angles alone."""
+        for k, (i, side) in enumerate(zip(self.region.active, self.hull(), strict=True)):
+            said = claimed[i]
+            if (said is None) != (k in self.turning):
+                return False
+            if said is not None and not (said[0] <= side[0] and side[1] <= said[1]):
+                return False
+        momenta = [claimed[i] for i in self._resting]
+        return all(
+            side is not None and self._momentum_within(k, arb(min(-side[0], side[1])))
+            for k, side in enumerate(momenta)
+        )
+
+    def ports_repeat(self) -> bool:
+        """Whether 𝒢 has the period of the angles."""
+        turned = [(self.y[k], self.y[k] + 2 * sp.pi) for k in self.turning]
+        return all(
+            is_zero(e.subs(*turn) - e) is True for turn in turned for e in set(self.model.ports)
+        )
 
     # --- form -------------------------------------------------------------------------------------
 
@@ -136,18 +160,20 @@ class CurvedProof:
         return all(is_zero(c.subs(v, v + 2 * sp.pi) - c) is True for c, v in shifts)
 
     @cached_property
-    def _surroundings(self) -> Surroundings:
+    def surroundings(self) -> Surroundings:
+        """Where the active states of Ω are."""
         hull = self.hull()
         between = {self.y[face.state]: self._ends(face) for face in self.region.faces}
         within = {v: side for v, side in zip(self.y, hull, strict=True) if v not in between}
         return Surroundings(between, within, [self.y[k] for k in self.turning])
 
-    def _without_pole(self) -> bool:
+    def _is_smooth(self) -> bool:
         """The loop strictly between the faces, the Casimirs on them too."""
         model, hull = self.model, self.hull()
-        closed = Surroundings({}, dict(zip(self.y, hull, strict=True)), self._surroundings.turning)
-        loop = [*model.Jcl, *model.Rcl, *model.ports]
-        return self._surroundings.without_pole(loop) and closed.without_pole(model.casimirs)
+        closed = Surroundings({}, dict(zip(self.y, hull, strict=True)), self.surroundings.turning)
+        at = dict(zip(self.y, self.z_bar, strict=True))
+        smooth = self.surroundings.is_smooth(model.written, at)
+        return smooth and closed.is_smooth(model.casimirs, at)
 
     def _block_is_regular(self) -> bool:
         """A block of the rows of ξ in Jcl − Rcl has a determinant off 0."""
@@ -156,42 +182,39 @@ class CurvedProof:
         if not inside or len(columns) != model.nc:
             return False
         M = sp.Matrix(model.Jcl - model.Rcl)
-        det = M.extract(list(range(model.n, len(model.z))), columns).det(method="berkowitz")
-        short = sp.trigsimp(sp.factor(det))
-        det = short if is_zero(short - det) is True else det
-        return self._surroundings.off_zero(sp.fraction(sp.together(det))[0])
+        block = M.extract(list(range(model.n, len(model.z))), columns)
+        return self.surroundings.is_regular(block)
 
     def _stiff(self) -> bool:
-        """A ≻ 0, and ½ b²/(A⁻¹)ᵢᵢ > h for a bound b of the user's: A − (2h/b²)eᵢeᵢᵀ ≻ 0."""
+        """A ≻ 0, and no momentum leaves the user's bounds."""
         model = self.model
-        p = [model.z[i] for i in self._resting]
-        if not p:
-            return True
-        A, hull = sp.hessian(model.H, p), self.hull()
-        used = [k for k, v in enumerate(self.y) if A.has(v)]
-        turned = [A.subs(self.y[k], self.y[k] + 2 * sp.pi) - A for k in used if k in self.turning]
-        if not all(is_zero(e) is True for change in turned for e in change):
-            return False
-        needed = []
         for k, i in enumerate(self._resting):
             if model.states[i] in model.domain:
                 lo, hi = (evaluate(b, {}) for b in model.domain[model.states[i]])
-                reach = (-lo).min(hi)
-                if not reach > 0:
+                if not self._momentum_within(k, (-lo).min(hi)):
                     return False
-                needed.append((k, 2 * self.h / (reach * reach)))
+        return not self._resting or self._inertia_exceeds(0, arb(0))
+
+    def _momentum_within(self, k: int, reach: arb) -> bool:
+        """½ b²/(A⁻¹)ₖₖ > h for the bound b: A − (2h/b²)eₖeₖᵀ ≻ 0."""
+        return bool(reach > 0) and self._inertia_exceeds(k, 2 * self.h / (reach * reach))
+
+    def _inertia_exceeds(self, k: int, t: arb) -> bool:
+        """Whether A − t eₖeₖᵀ ≻ 0 for all y of the hull."""
+        model, hull = self.model, self.hull()
+        A = sp.hessian(model.H, [model.z[i] for i in self._resting])
+        used = [j for j, v in enumerate(self.y) if A.has(v)]
+        turned = [A.subs(self.y[j], self.y[j] + 2 * sp.pi) - A for j in used if j in self.turning]
+        if not all(is_zero(e) is True for change in turned for e in change):
+            return False
 
         def test(box: Box) -> bool:
-            values = {self.y[k]: ball(*side) for k, side in zip(used, box, strict=True)}
+            values = {self.y[j]: ball(*side) for j, side in zip(used, box, strict=True)}
             matrix = arb_mat([[evaluate(e, values) for e in row] for row in A.tolist()])
-            for k, t in needed:
-                less = arb_mat(matrix)
-                less[k, k] = less[k, k] - t
-                if not positive(less, 0):
-                    return False
+            matrix[k, k] = matrix[k, k] - t
             return positive(matrix, 0)
 
-        return by_bisection(tuple(hull[k] for k in used), test, _DEPTH)
+        return by_bisection(tuple(hull[j] for j in used), test, _DEPTH)
 
     def _in_domain(self) -> bool:
         model, hull = self.model, self.hull()

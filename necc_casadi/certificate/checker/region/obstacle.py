@@ -13,7 +13,7 @@ from necc_casadi.certificate.checker.arithmetic.definite import middle_of
 from necc_casadi.certificate.checker.arithmetic.potential import Energy, hessian_hull
 from necc_casadi.certificate.checker.evidence import Evidence, Obligation
 from necc_casadi.certificate.checker.invariant_sets import loop_is_defined
-from necc_casadi.certificate.claims.regions import Obstacle, Region, Side
+from necc_casadi.certificate.claims.regions import Obstacle, Side
 
 __all__ = ["ObstacleProof"]
 
@@ -27,9 +27,15 @@ class ObstacleProof:
     """The place and the height of an obstacle, in natural units."""
 
     def __init__(
-        self, evidence: Evidence, region: Region, obstacle: Obstacle, reach: Sequence[Side]
+        self,
+        evidence: Evidence,
+        level: float,
+        active: Sequence[int],
+        obstacle: Obstacle,
+        reach: Sequence[Side | None],
     ) -> None:
-        self.evidence, self.region, self.obstacle, self.reach = evidence, region, obstacle, reach
+        self.evidence, self.obstacle, self.reach = evidence, obstacle, reach
+        self.level, self.active = level, tuple(active)
         self.model = evidence.model
         units = self.model.units
         self.height = obstacle.level_above_minimum / units.energy
@@ -60,15 +66,15 @@ class ObstacleProof:
 
     def _is_at_height(self, bottom: arb) -> bool:
         """The height told is that of V, and the region's level is not above it."""
-        level = arb(self.region.level)
+        level = arb(self.level)
         if self.obstacle.kind != "input_limits":
             level = self.evidence.full.value(tuple((v, v) for v in self.at))
         off = abs(level - bottom - self.height)
-        return bool(off <= _ABOUT * self.height) and bool(level >= self.region.level)
+        return bool(off <= _ABOUT * self.height) and bool(level >= self.level)
 
     def _is_critical(self) -> bool:
         """Krawczyk's test around the place, the momenta at rest."""
-        active = self.region.active
+        active = self.active
         if any(v != 0 for i, v in enumerate(self.at) if i not in active):
             return False
         y = [self.at[i] for i in active]
@@ -79,8 +85,8 @@ class ObstacleProof:
     def _is_singular(self) -> bool:
         """Whether V or the loop cannot be enclosed in the neighbourhood."""
         around: Box = tuple(
-            ends(arb(v) + (arb(hi) - lo) * _BESIDE * ball(-1.0, 1.0))
-            for v, (lo, hi) in zip(self.at, self.reach, strict=True)
+            ends(arb(v) + _length(side) * _BESIDE * ball(-1.0, 1.0))
+            for v, side in zip(self.at, self.reach, strict=True)
         )
         finite = self.evidence.full.value(around).is_finite()
         return not (finite and loop_is_defined(self.model, around))
@@ -97,6 +103,11 @@ class ObstacleProof:
     def _ends_at_the_inputs(self) -> bool:
         certificate = self.evidence.certificate
         return self.evidence.claimed("input_limits") and certificate.level_u == certificate.level
+
+
+def _length(side: Side | None) -> arb:
+    """How far a state reaches; a period of one that may take every value."""
+    return 2 * arb.pi() if side is None else arb(side[1]) - side[0]
 
 
 def _holds_a_zero(energy: Energy, y: list[float], half: list[float], box: Box) -> bool:

@@ -2,22 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import sympy as sp
 from flint import arb
 
 from necc_casadi.certificate.checker.arithmetic.balls import Box, ball, by_bisection, ends, evaluate
+from necc_casadi.certificate.checker.invariant_sets import OverBox
+from necc_casadi.symbolic.smoothness import conditions
 from necc_casadi.symbolic.zero import is_zero
 
-__all__ = ["Surroundings"]
+__all__ = ["BetweenFaces", "Surroundings"]
 
 #: How often an interval, and a box, may be halved.
 _DEPTH = 40
 _BOX_DEPTH = 16
-#: Entire functions, and those that are smooth on all of ℝ.
-_SMOOTH = {"sin", "cos", "exp", "sinh", "cosh", "tanh", "atan", "asinh"}
 
 
 @dataclass(frozen=True)
@@ -28,20 +28,35 @@ class Surroundings:
     within: Mapping[sp.Symbol, tuple[float, float]]  # a period for those that turn
     turning: Sequence[sp.Symbol]
 
-    def without_pole(self, entries: Iterable[sp.Expr]) -> bool:
-        """Whether expressions are smooth in the set."""
-        divisors: set[sp.Expr] = set()
-        for entry in entries:
-            for divisor in _divisors(sp.sympify(entry)):
-                if divisor is None:
-                    return False
-                divisors.add(divisor)
-        return all(self.off_zero(d) for d in sorted(divisors, key=str))
+    def is_smooth(self, expressions: Iterable[sp.Expr], at: Mapping[sp.Symbol, arb]) -> bool:
+        """Whether every part of expressions, as written, is smooth in the set.
+
+        The set is connected: what keeps off 0 in it is positive if it is in one state, `at`.
+        """
+        demands = conditions(expressions)
+        if demands is None:
+            return False
+        for demand in sorted(demands, key=str):
+            parts = sp.fraction(sp.together(demand.part))
+            if not all(map(self.off_zero, parts)):
+                return False
+            if demand.positive and not bool(evaluate(demand.part, at) > 0):
+                return False
+        return True
 
     def off_zero(self, expr: sp.Expr) -> bool:
         """Whether an expression without poles keeps off 0 in the set, by its factors."""
+        if not expr.free_symbols:
+            return is_zero(expr) is False
         factors = [factor for factor, _ in sp.factor_list(expr)[1]] or [expr]
         return all(self._factor_off_zero(f) for f in factors)
+
+    def is_regular(self, block: sp.Matrix) -> bool:
+        """Whether a square matrix that is defined in the set is regular there."""
+        det = block.det(method="berkowitz")
+        short = sp.trigsimp(sp.factor(det))
+        det = short if is_zero(short - det) is True else det
+        return self.off_zero(sp.fraction(sp.together(det))[0])
 
     def _factor_off_zero(self, factor: sp.Expr) -> bool:
         symbols = sorted(factor.free_symbols, key=str)
@@ -64,25 +79,21 @@ class Surroundings:
         return by_bisection(tuple(self.within[s] for s in symbols), test, depth)
 
 
-def _divisors(expr: sp.Expr) -> Iterator[sp.Expr | None]:
-    """What an expression divides by; None for what is smooth on a part of ℝ alone."""
-    for part in sp.preorder_traversal(expr):
-        if isinstance(part, sp.Pow) and part.base.free_symbols | part.exp.free_symbols:
-            if not part.exp.is_Integer:
-                yield None
-            elif part.exp < 0:
-                yield from _as_quotient(part.base)
-        elif isinstance(part, sp.Function):
-            name = part.func.__name__
-            if name == "tan":
-                yield from _as_quotient(sp.cos(part.args[0]))
-            elif name not in _SMOOTH and part.free_symbols:
-                yield None
+class BetweenFaces(OverBox):
+    """Matrices over a box of all states, some of them strictly between exact ends."""
 
+    def __init__(self, z: Sequence[sp.Symbol], box: Box, surroundings: Surroundings) -> None:
+        super().__init__(z, box)
+        self.surroundings = surroundings
 
-def _as_quotient(base: sp.Expr) -> Iterator[sp.Expr]:
-    """1/base is smooth where the numerator and the denominator of `base` keep off 0."""
-    yield from (e for e in sp.fraction(sp.together(base)) if e.free_symbols)
+    def defined(self, matrix: sp.Matrix) -> bool:
+        """Whether every entry is smooth where Ω is."""
+        at = {v: ball(*side).mid() for v, side in zip(self.z, self.box, strict=True)}
+        return self.surroundings.is_smooth(list(matrix), at)
+
+    def regular(self, matrix: sp.Matrix) -> bool:
+        """Whether a matrix is square and regular where Ω is."""
+        return matrix.rows == matrix.cols > 0 and self.surroundings.is_regular(matrix)
 
 
 def _between(factor: sp.Expr, v: sp.Symbol, lo: sp.Expr, hi: sp.Expr) -> bool:

@@ -13,25 +13,40 @@ from flint import arb
 
 from necc_casadi.certificate.checker.arithmetic.balls import Box
 from necc_casadi.certificate.checker.evidence import Checked, Evidence, Obligation
-from necc_casadi.certificate.checker.invariant_sets import (
-    largest_invariant_set_is_critical,
-    loop_is_defined,
-)
-from necc_casadi.certificate.checker.momenta import are_momenta
+from necc_casadi.certificate.checker.invariant_sets import OverBox, loop_is_defined
 from necc_casadi.certificate.checker.region.bounds import BoundProof, stays_positive
 from necc_casadi.certificate.checker.region.cells import CellsProof
+from necc_casadi.certificate.checker.region.curved import PERIOD, CurvedProof
 from necc_casadi.certificate.checker.region.floor import FloorProof
 from necc_casadi.certificate.checker.region.obstacle import ObstacleProof
+from necc_casadi.certificate.checker.region.poles import BetweenFaces
+from necc_casadi.certificate.checker.region.proof import RegionProof
 from necc_casadi.certificate.checker.region.reduced import Reduced
 from necc_casadi.certificate.checker.region.shape import check_region_shape
 from necc_casadi.certificate.claims import statements
-from necc_casadi.certificate.claims.regions import Follows, Region, Side
+from necc_casadi.certificate.claims.curved import CurvedRegion
+from necc_casadi.certificate.claims.fields import read_as
+from necc_casadi.certificate.claims.motions import Solutions
+from necc_casadi.certificate.claims.regions import Region, Side
 
-__all__ = ["RegionProof", "check_region"]
+__all__ = ["check_region", "region_proof"]
 
 
-class RegionProof:
-    """The component of {V ≤ c} over the marked cells, in natural units.
+def region_proof(evidence: Evidence, region: Region | CurvedRegion) -> RegionProof:
+    """The proof that a region asks for.
+
+    Raises
+    ------
+    ValueError
+        When the region is not of its form.
+    """
+    if isinstance(region, CurvedRegion):
+        return CurvedRegionProof(evidence, region)
+    return ComponentProof(evidence, region)
+
+
+class ComponentProof(RegionProof):
+    """A component over marked cells.
 
     Raises
     ------
@@ -41,10 +56,8 @@ class RegionProof:
 
     def __init__(self, evidence: Evidence, region: Region) -> None:
         check_region_shape(region, len(evidence.model.z))
-        self.evidence, self.region, self.model = evidence, region, evidence.model
-        self.energy, self.z_bar = evidence.reduced(region.active), evidence.z_bar(region.active)
-        self.bottom: arb = self.energy.value(self.z_bar)
-        self.resting = [i for i in range(len(self.model.z)) if i not in region.active]
+        super().__init__(evidence, region.level, region.active)
+        self.region = region
 
     @cached_property
     def cells(self) -> CellsProof:
@@ -69,21 +82,21 @@ class RegionProof:
         Raises
         ------
         ValueError
-            When there are none, or not one for every state.
+            When a state is said to take every value.
         """
-        claimed, units = self.evidence.certificate.reach, self.model.units
-        if claimed is None or list(claimed) != self.model.states:
-            raise ValueError("the region's reach is not told of every state in order")
-        pairs = zip(claimed.values(), units.state, strict=True)
-        return tuple((lo / unit, hi / unit) for (lo, hi), unit in pairs)
+        sides = tuple(side for side in self.claimed_reach if side is not None)
+        if len(sides) < len(self.claimed_reach):
+            raise ValueError("a state is not bounded on the region")
+        return sides
+
+    @property
+    def place(self) -> OverBox:
+        """The claimed sides."""
+        return OverBox(self.model.z, self.reach)
 
     def boxes(self, level: float) -> list[Box]:
         """Small boxes of the active states that hold {V ≤ c} over the marked cells."""
         return [box for _, box in self.cells.fibres(level)]
-
-    def rests(self) -> bool:
-        """Whether the states that are not in y are momenta."""
-        return are_momenta(self.model, self.resting)
 
     def obligations(self) -> list[Obligation]:
         """What has to be proved of the component itself."""
@@ -133,19 +146,49 @@ class RegionProof:
             return lo <= a and b <= hi
         return all(self._bounds.state_stays(position, end) for end in (lo, hi))
 
-    def follows(self, follows: Follows) -> Obligation:
-        """What follows for solutions from the region: of two truths the weaker may be claimed."""
-        attracts = self.evidence.certificate.stability == "asymptotic"
 
-        def every() -> bool:
-            return largest_invariant_set_is_critical(self.model, self.resting, self.reach)
+class CurvedRegionProof(RegionProof):
+    """A component that curved Casimirs shape.
 
-        obligations: dict[Follows, Obligation] = {
-            "converges": ("every solution from Ω converges to z̄", lambda: attracts and every()),
-            "invariant": ("z̄ is locally asymptotically stable", lambda: attracts),
-            "stable": ("no more than stability is proved of z̄", lambda: not attracts),
-        }
-        return obligations[follows]
+    Raises
+    ------
+    ValueError
+        When the region is not of its form.
+    """
+
+    def __init__(self, evidence: Evidence, region: CurvedRegion) -> None:
+        super().__init__(evidence, region.level, region.active)
+        self.proof = CurvedProof(self.energy, region, self.z_bar)
+
+    def obligations(self) -> list[Obligation]:
+        """What has to be proved of Ω itself."""
+        return [
+            *self.proof.obligations(),
+            ("every state is within its reach", lambda: self.proof.reaches(self.claimed_reach)),
+        ]
+
+    @property
+    def place(self) -> OverBox:
+        """The claimed sides, q strictly between its faces, a period of each angle."""
+        sides = [PERIOD if side is None else side for side in self.claimed_reach]
+        return BetweenFaces(self.model.z, tuple(sides), self.proof.surroundings)
+
+    def boxes(self, level: float) -> list[Box]:
+        """One box, with a period of each angle.
+
+        Raises
+        ------
+        ValueError
+            When the ports do not repeat with the angles, so that it says nothing of u.
+        """
+        if not self.proof.ports_repeat():
+            raise ValueError("the ports do not repeat in a state that may take every value")
+        return [self.proof.hull()]
+
+    def follows(self, claimed: Solutions) -> Obligation:
+        """What is claimed of solutions; rules for motions need ranges, which angles lack."""
+        what, proved = super().follows(claimed)
+        return what, lambda: not claimed.motion and proved()
 
 
 def check_region(evidence: Evidence, proof: RegionProof | None, sound: bool) -> Checked:
@@ -156,24 +199,24 @@ def check_region(evidence: Evidence, proof: RegionProof | None, sound: bool) -> 
     if proof is None or height is None or obstacle is None or not (claimed and sound):
         missing = "the stability of z̄" if claimed else "that one is claimed"
         return Checked("region", False, f"no region is proved, for want of {missing}")
-    follows: Follows = evidence.claims["region"].data["follows"]
-    region, energy = proof.region, evidence.model.units.energy
-    told = ObstacleProof(evidence, region, obstacle, proof.reach)
+    solutions = read_as(Solutions, evidence.claims["region"].data)
+    energy = evidence.model.units.energy
+    told = ObstacleProof(evidence, proof.level, proof.active, obstacle, proof.claimed_reach)
     return Checked.by(
         "region",
-        statements.region(height, obstacle, follows),
+        statements.region(height, obstacle, solutions.follows),
         [
             ("the resting states are momenta", proof.rests),
             (
                 "the level is that of the region",
-                lambda: region.level * energy == certificate.level,
+                lambda: proof.level * energy == certificate.level,
             ),
             (
                 "the level is as high above V(z̄)",
-                lambda: height > 0 and bool(proof.bottom + height / energy <= region.level),
+                lambda: height > 0 and bool(proof.bottom + height / energy <= proof.level),
             ),
             *proof.obligations(),
             *told.obligations(proof.bottom),
-            proof.follows(follows),
+            proof.follows(solutions),
         ],
     )

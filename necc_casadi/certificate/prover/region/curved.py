@@ -13,7 +13,7 @@ depend on fewer states, and f > h or det ∂c/∂q ≠ 0 on the fibre.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import combinations
 from typing import Literal
@@ -41,7 +41,14 @@ from necc_casadi.certificate.prover.arithmetic.jets import (
     expression_values,
 )
 from necc_casadi.certificate.prover.arithmetic.potential import Potential
-from necc_casadi.certificate.prover.region.poles import denominators, poles_around, stays_defined
+from necc_casadi.certificate.prover.arithmetic.smooth import written
+from necc_casadi.certificate.prover.region.bounds import bounds_of
+from necc_casadi.certificate.prover.region.poles import (
+    Between,
+    BetweenFaces,
+    denominators,
+    poles_around,
+)
 from necc_casadi.certificate.prover.region.reduced import quadratic_range
 from necc_casadi.lyapunov.networks import Network
 from necc_casadi.symbolic.expressions import to_text
@@ -49,6 +56,8 @@ from necc_casadi.symbolic.zero import is_zero
 
 __all__ = ["Curved", "Face"]
 
+#: Widths of a momentum's range that are tried, by what it is at the middles of the cells.
+_WIDER = (1.001, 1.01, 1.05, 1.2, 1.5, 2.0, 4.0)
 #: Half a period, a little more than π; room for other arithmetic in ranges and floors.
 _HALF_PERIOD, _EASE = 3.1415927, 1e-6
 #: Cells per axis at first, cells in one evaluation, cells and rounds at most.
@@ -168,20 +177,33 @@ class Curved:
         )
 
     def _is_defined(self, height: float) -> bool:
-        """Whether the loop has no pole, and the block of M_ξ is regular, where Ω may be."""
-        loop, box = self.potential.design.loop, self.box(height)
+        """Whether everything is smooth, and the block of M_ξ regular, where Ω may be.
+
+        The Casimirs are looked at on the faces too, where f is.
+        """
+        place = self.place(height)
+        if place is None:
+            return False
+        box, inside = self.box(height), place.between
+        closed = replace(inside, ends={}, sides={s: box[k] for k, s in enumerate(self.symbols)})
+        smooth = inside.is_smooth(written(self.potential.design), place.middle)
+        block = _block(self.potential, self.columns)
+        return smooth and closed.is_smooth(self.casimirs, place.middle) and place.regular(block)
+
+    def place(self, height: float) -> BetweenFaces | None:
+        """All states on Ω (N,), q between its faces; None where a momentum is not bounded."""
+        design, p = self.potential.design, self._reach_of_momenta(height)
+        if p is None:
+            return None
+        inner, lo, hi = self.box(height), np.zeros(design.loop.n), np.zeros(design.loop.n)
+        lo[list(self.potential.active)], hi[list(self.potential.active)] = inner.lo, inner.hi
+        lo[list(self.potential.resting)], hi[list(self.potential.resting)] = -p, p
+        room = _EASE * (hi - lo)
+        box = Interval(lo - room, hi + room)
         ends = {self.symbols[a.state]: (a.value, b.value) for a, b in self.faces}
-        wide = {s: box[k] for k, s in enumerate(self.symbols) if s not in ends}
-        turning = [self.symbols[k] for k in self.angles]
-        M, ports = sp.Matrix(loop.M), sp.Matrix(loop.ports)
-        det = _block(self.potential, self.columns).det()
-        short = sp.simplify(det)
-        det = short if is_zero(short - det) is True else det
-        closed = {s: box[k] for k, s in enumerate(self.symbols)}
-        entries = [*M, *ports, 1 / sp.numer(sp.together(det))]
-        return stays_defined(entries, ends, wide, turning) and stays_defined(
-            self.casimirs, {}, closed, turning
-        )
+        sides = {s: box[i] for i, s in enumerate(design.loop.z) if s not in ends}
+        turning = tuple(self.symbols[k] for k in self.angles)
+        return BetweenFaces(design.loop.z, box, Between(ends, sides, turning))
 
     def _stays_in_bounds(self, height: float) -> bool:
         """Whether ξ stays in the user's domain; the momenta are looked at with their inertia."""
@@ -195,29 +217,44 @@ class Curved:
 
     def _is_stiff(self, height: float) -> bool:
         """A ≻ 0, and ½ pᵀAp > h where a momentum leaves the user's domain."""
-        loop, box = self.potential.design.loop, self.box(height)
-        p = [loop.z[i] for i in self.potential.resting]
-        A = sp.hessian(loop.plant.H, p) if p else sp.eye(1)
-        used = [k for k, s in enumerate(self.symbols) if A.has(s)]
-        turned = [
-            A.subs(s, s + 2 * sp.pi) - A
-            for s in (self.symbols[k] for k in used if k in self.angles)
-        ]
-        if not all(is_zero(e) is True for matrix in turned for e in matrix):
+        if not self.potential.resting:
+            return True
+        inertia = self._inertia(height)
+        if inertia is None:
             return False
+        bounds = bounds_of(self.potential.design)[list(self.potential.resting)]
+        reach = np.minimum(-bounds.lo, bounds.hi)
+        return all(_keeps(inertia, k, height, b) for k, b in enumerate(reach))
+
+    def _reach_of_momenta(self, height: float) -> Vector | None:
+        """|pᵢ| ≤ √(2h (A⁻¹)ᵢᵢ) on Ω, (resting,); None where A ≻ 0 is not proved."""
+        if not self.potential.resting:
+            return np.zeros(0)
+        inertia = self._inertia(height)
+        if inertia is None or not positive_definite(inertia).all():
+            return None
+        least = np.linalg.inv(inertia.mid)
+        result = np.sqrt(2 * height * np.einsum("bii->bi", least).max(0))
+        for k in range(len(result)):
+            wider = (float(result[k] * w) for w in _WIDER)
+            kept = next((b for b in wider if _keeps(inertia, k, height, b)), None)
+            if kept is None:
+                return None
+            result[k] = kept
+        return np.asarray(result, float)
+
+    def _inertia(self, height: float) -> Interval | None:
+        """A = ∂²H/∂p² over cells of the states q and ξ that it depends on, (B, r, r)."""
+        loop, box = self.potential.design.loop, self.box(height)
+        A = sp.hessian(loop.plant.H, [loop.z[i] for i in self.potential.resting])
+        used = [k for k, s in enumerate(self.symbols) if A.has(s)]
+        angles = (self.symbols[k] for k in used if k in self.angles)
+        turned = [A.subs(s, s + 2 * sp.pi) - A for s in angles]
+        if not all(is_zero(e) is True for matrix in turned for e in matrix):
+            return None
         parts = max(4, int(4096 ** (1 / max(1, len(used)))))
         cells = subdivide(box[np.array(used, dtype=int)], parts)
-        enclosed = matrix_enclosure(A, [self.symbols[k] for k in used], cells)
-        needed = np.zeros(len(A[0, :]))
-        for k, s in enumerate(p):
-            if str(s) in loop.plant.domain:
-                lo, hi = map(constant, map(sp.sympify, loop.plant.domain[str(s)]))
-                reach = min(-float(lo.hi), float(hi.lo))
-                if not reach > 0:
-                    return False
-                needed[k] = 2 * height / reach**2 * (1 + _EASE)
-        each = [np.diag(needed * (np.arange(len(needed)) == k)) for k in range(len(needed))]
-        return all(bool(positive_definite(enclosed - unit).all()) for unit in each)
+        return matrix_enclosure(A, [self.symbols[k] for k in used], cells)
 
     def face_is_above(self, face: Face, height: float) -> bool:
         """Whether f > h on a face, for all values of the other states."""
@@ -324,6 +361,15 @@ class Curved:
             settled = settled | regular(grads.meet(sharp))
             axis = np.argmax(half, axis=1)
         return np.asarray(settled), axis
+
+
+def _keeps(inertia: Interval, k: int, height: float, bound: float) -> bool:
+    """Whether A ≻ 0, and |p_k| < bound where ½ pᵀAp ≤ h: A − (2h/b²) e_k e_kᵀ ≻ 0."""
+    if not bound > 0:
+        return False
+    needed = np.zeros(inertia.shape[1:])
+    needed[k, k] = 2 * height / bound**2 * (1 + _EASE)
+    return bool(positive_definite(inertia - needed).all())
 
 
 def _square(v: Interval) -> tuple[Interval, Interval, Interval]:

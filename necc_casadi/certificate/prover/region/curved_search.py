@@ -6,7 +6,7 @@ method; what the slope of V leads back from to z̄ is on the border of the regio
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -19,8 +19,9 @@ from necc_casadi.certificate.prover.arithmetic.jets import constant
 from necc_casadi.certificate.prover.arithmetic.potential import Potential
 from necc_casadi.certificate.prover.region.curved import Curved, Face
 from necc_casadi.certificate.prover.region.landscape import Landscape
-from necc_casadi.certificate.prover.region.obstacle import Obstacle
-from necc_casadi.certificate.prover.region.poles import denominators, poles_around
+from necc_casadi.certificate.prover.region.obstacle import NEAR_ENOUGH, Obstacle, judged
+from necc_casadi.certificate.prover.region.poles import BetweenFaces, denominators, poles_around
+from necc_casadi.certificate.prover.region.proof import RegionProof
 
 __all__ = ["CurvedProof", "prove_curved"]
 
@@ -36,17 +37,39 @@ _HEIGHT = 1.0
 _SHARES = (0.99, 0.98, 0.97, 0.96, 0.95, 0.9, 0.8, 0.65, 0.5)
 
 
-@dataclass(frozen=True, eq=False)
-class CurvedProof:
+class CurvedProof(RegionProof):
     """A region that holds one critical point of V, and what ends it."""
 
-    curved: Curved
-    region: CurvedRegion
-    obstacle: Obstacle
+    def __init__(
+        self, curved: Curved, region: CurvedRegion, obstacle: Obstacle, place: BetweenFaces
+    ) -> None:
+        self.curved = curved
+        self._region, self._obstacle, self._place = region, obstacle, place
 
-    def box(self) -> Interval:
-        """A box (d,) of the active states that holds Ω, with the angles wrapped."""
-        return self.curved.box(self.region.height)
+    @property
+    def region(self) -> CurvedRegion:
+        """Ω as data."""
+        return self._region
+
+    @property
+    def obstacle(self) -> Obstacle:
+        """What Ω stays just below."""
+        return self._obstacle
+
+    @property
+    def bottom(self) -> float:
+        """An upper bound of V(z̄)."""
+        return float(self.curved.bottom.hi)
+
+    @property
+    def place(self) -> BetweenFaces:
+        """All states on Ω, the angles wrapped."""
+        return self._place
+
+    @property
+    def angles(self) -> tuple[int, ...]:
+        """States that may take every value."""
+        return tuple(self.curved.potential.active[k] for k in self.curved.angles)
 
 
 def prove_curved(potential: Potential, z_bar: Interval) -> CurvedProof | None:
@@ -65,11 +88,13 @@ def prove_curved(potential: Potential, z_bar: Interval) -> CurvedProof | None:
     obstacle = _Search(curved).obstacle()
     if obstacle is None:
         return None
-    bottom = float(curved.bottom.hi)
+    bottom, obstacle = float(curved.bottom.hi), judged(potential, obstacle)
     for share in _SHARES:
         region = curved.region(bottom + share * (obstacle.level - bottom))
-        if region is not None:
-            return CurvedProof(curved, region, obstacle)
+        place = None if region is None else curved.place(region.height)
+        if region is not None and place is not None:
+            named = obstacle if share >= NEAR_ENOUGH else replace(obstacle, kind="arithmetic")
+            return CurvedProof(curved, region, named, place)
     return None
 
 

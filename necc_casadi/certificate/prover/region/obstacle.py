@@ -16,10 +16,16 @@ import numpy as np
 
 from necc_casadi.arrays import Truth, Vector
 from necc_casadi.certificate.claims.regions import ObstacleKind
+from necc_casadi.certificate.prover.arithmetic.intervals import Interval, matmul, point
+from necc_casadi.certificate.prover.arithmetic.potential import Potential
 from necc_casadi.certificate.prover.region.landscape import Landscape, Minima
 
-__all__ = ["Obstacle", "Search", "search"]
+__all__ = ["NEAR_ENOUGH", "Obstacle", "Search", "judged", "search"]
 
+#: A proof that ends lower than this share of the obstacle's height ends at its own arithmetic.
+NEAR_ENOUGH = 0.95
+#: Half-width of the box in which a critical point of V is proved, against the state's magnitude.
+_TIGHT = 1e-8
 #: Nodes per axis of the search.
 _NODES = {0: 1, 1: 801, 2: 61, 3: 25}
 #: A Newton step of at most so many steps of the grid makes a node a start for a critical point.
@@ -112,6 +118,24 @@ class Search:
         low, high = inside.min(0), inside.max(0)
         room = np.maximum(_ROOM * self.step, _ROOM_SHARE * (high - low))
         return low - room, high + room
+
+
+def judged(potential: Potential, obstacle: Obstacle) -> Obstacle:
+    """The obstacle; a critical point only where one is proved to be there."""
+    if obstacle.kind != "critical_point":
+        return obstacle
+    y = obstacle.z[list(potential.active)]
+    half = _TIGHT * (1 + np.abs(y))
+    jet = potential.jet(Interval(y - half, y + half)[None])
+    slope = potential.jet(point(y)[None]).grad[0]
+    H = jet.hess[0]
+    if not (np.isfinite(H.mid).all() and np.linalg.det(H.mid) != 0):
+        return replace(obstacle, kind="arithmetic")
+    T = np.asarray(np.linalg.inv(H.mid), float)
+    step = matmul(T, slope[:, None])[:, 0]
+    spread = matmul(np.eye(len(y)) - matmul(T, H), Interval(-half, half)[:, None])[:, 0]
+    inside = bool(((spread - step).magnitude < half).all())
+    return obstacle if inside else replace(obstacle, kind="arithmetic")
 
 
 def search(

@@ -10,12 +10,18 @@ import numpy as np
 
 from necc_casadi.arrays import Vector
 from necc_casadi.certificate.claims.regions import CellBox, Region, Side, numbers, packed, rows
-from necc_casadi.certificate.prover.arithmetic.intervals import Interval, matmul, point
+from necc_casadi.certificate.prover.arithmetic.intervals import Interval
 from necc_casadi.certificate.prover.arithmetic.potential import Potential
 from necc_casadi.certificate.prover.region.bounds import Bounds, bounds_of
 from necc_casadi.certificate.prover.region.critical_box import critical_box
 from necc_casadi.certificate.prover.region.leaves import Base, Leaves, prove_component
-from necc_casadi.certificate.prover.region.obstacle import Obstacle, Search, search
+from necc_casadi.certificate.prover.region.obstacle import (
+    NEAR_ENOUGH,
+    Obstacle,
+    Search,
+    judged,
+    search,
+)
 from necc_casadi.certificate.prover.region.reduced import Reduced
 from necc_casadi.certificate.prover.region.split import Splits
 
@@ -26,8 +32,6 @@ __all__ = ["Component", "Components", "sides"]
 _FIRST_SHARE = {0: 0.999, 1: 0.995, 2: 0.99, 3: 0.98}
 _SHARES = (0.97, 0.95, 0.9, 0.8, 0.5, 0.2, 0.05)
 _SPLITS = 3
-#: A proof that ends lower than this share of the obstacle's height ends at its own arithmetic.
-_NEAR_ENOUGH = 0.95
 #: How often the box of the search may grow, and by which share of its sides.
 _GROWTHS, _WIDER = 8, 0.5
 #: How often the domain is doubled where nothing ends the component, and V has no form by which the
@@ -35,8 +39,6 @@ _GROWTHS, _WIDER = 8, 0.5
 _DOUBLINGS = 4
 #: The part of the way to the obstacle in which the component must stay off the box's border.
 _INNER = 0.999
-#: Half-width of the box in which a critical point of V is proved, against the state's magnitude.
-_TIGHT = 1e-8
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,10 +141,10 @@ class Components:
         height = obstacle.level - self.bottom
         if not height > 0:
             return None
-        obstacle = self._judged(obstacle)
+        obstacle = judged(self.potential, obstacle)
         for share in (_FIRST_SHARE[len(bounds.reduced.kept)], *_SHARES):
             room = self.bottom + max(share, _INNER) * height
-            named = obstacle if share >= _NEAR_ENOUGH else replace(obstacle, kind="arithmetic")
+            named = obstacle if share >= NEAR_ENOUGH else replace(obstacle, kind="arithmetic")
             component = self._at(bounds, found, self.bottom + share * height, room, named)
             if component is not None:
                 return component
@@ -210,23 +212,6 @@ class Components:
             lo = np.maximum(lo - _WIDER * width * low, least)
             hi = np.minimum(hi + _WIDER * width * high, most)
         return found, obstacle
-
-    def _judged(self, obstacle: Obstacle) -> Obstacle:
-        """The obstacle; a critical point only where one is proved to be there."""
-        if obstacle.kind != "critical_point":
-            return obstacle
-        y = obstacle.z[list(self.potential.active)]
-        half = _TIGHT * (1 + np.abs(y))
-        jet = self.potential.jet(Interval(y - half, y + half)[None])
-        slope = self.potential.jet(point(y)[None]).grad[0]
-        H = jet.hess[0]
-        if not (np.isfinite(H.mid).all() and np.linalg.det(H.mid) != 0):
-            return replace(obstacle, kind="arithmetic")
-        T = np.asarray(np.linalg.inv(H.mid), float)
-        step = matmul(T, slope[:, None])[:, 0]
-        spread = matmul(np.eye(len(y)) - matmul(T, H), Interval(-half, half)[:, None])[:, 0]
-        inside = bool(((spread - step).magnitude < half).all())
-        return obstacle if inside else replace(obstacle, kind="arithmetic")
 
 
 def _edge(found: Search) -> Obstacle:

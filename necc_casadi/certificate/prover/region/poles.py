@@ -7,6 +7,7 @@ an interval between two such ends it is proved to keep off 0.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from fractions import Fraction
 
 import numpy as np
@@ -14,11 +15,13 @@ import sympy as sp
 
 from necc_casadi.arrays import Truth
 from necc_casadi.certificate.prover.arithmetic.boxes import matrix_enclosure, subdivide
-from necc_casadi.certificate.prover.arithmetic.intervals import Interval, concatenate
-from necc_casadi.certificate.prover.arithmetic.jets import constant
+from necc_casadi.certificate.prover.arithmetic.intervals import Interval, concatenate, point
+from necc_casadi.certificate.prover.arithmetic.jets import constant, expression_values
+from necc_casadi.certificate.prover.invariant_sets import OverBox
+from necc_casadi.symbolic.smoothness import conditions
 from necc_casadi.symbolic.zero import is_zero
 
-__all__ = ["denominators", "poles_around", "stays_defined"]
+__all__ = ["Between", "BetweenFaces", "denominators", "poles_around"]
 
 #: Distances at which a factor is looked at for zeros: two turns closely, then further apart.
 _DISTANCES = np.concatenate([np.linspace(0.0, 13.0, 2601)[1:], np.geomspace(13.0, 1e4, 1500)[1:]])
@@ -103,41 +106,79 @@ def _exact(factor: sp.Expr, symbol: sp.Symbol, root: float, sign: int) -> sp.Exp
     return sp.Rational(inside.numerator, inside.denominator)
 
 
-def stays_defined(
-    entries: Iterable[sp.Expr],
-    ends: Mapping[sp.Symbol, tuple[sp.Expr, sp.Expr]],
-    wide: Mapping[sp.Symbol, Interval],
-    turning: Sequence[sp.Symbol],
-) -> bool:
-    """Whether entries have no pole for states between exact ends and in intervals.
+@dataclass(frozen=True, eq=False)
+class Between:
+    """A connected set: states strictly between exact ends, in intervals, or all around."""
 
-    In a state that turns, an interval of a period stands for all values.
-    """
-    factors = denominators(entries)
-    return factors is not None and all(_keeps_off_zero(f, ends, wide, turning) for f in factors)
+    ends: Mapping[sp.Symbol, tuple[sp.Expr, sp.Expr]]
+    sides: Mapping[sp.Symbol, Interval]  # of a state that turns, a period for all values
+    turning: Sequence[sp.Symbol]
 
+    def is_smooth(self, expressions: Iterable[sp.Expr], middle: dict[sp.Symbol, Interval]) -> bool:
+        """Whether every part of expressions, as written, is smooth in the set.
 
-def _keeps_off_zero(
-    factor: sp.Expr,
-    ends: Mapping[sp.Symbol, tuple[sp.Expr, sp.Expr]],
-    wide: Mapping[sp.Symbol, Interval],
-    turning: Sequence[sp.Symbol],
-) -> bool:
-    used = sorted(factor.free_symbols, key=str)
-    for s in used:
-        shifted = factor.subs(s, s + 2 * sp.pi)
-        if s in turning and True not in (is_zero(shifted - factor), is_zero(shifted + factor)):
+        What keeps off 0 in a connected set is positive where it is at one point, `middle`.
+        """
+        demands = conditions(expressions)
+        return demands is not None and all(
+            self.off_zero(demand.part)
+            and (not demand.positive or float(expression_values([demand.part], middle)[0].lo) > 0)
+            for demand in demands
+        )
+
+    def off_zero(self, expr: sp.Expr) -> bool:
+        """Whether an expression that is defined in the set keeps off 0 there, by its factors."""
+        if not expr.free_symbols:
+            return is_zero(expr) is False
+        factors = denominators([1 / expr])
+        return factors is not None and all(map(self._keeps_off_zero, factors))
+
+    def _keeps_off_zero(self, factor: sp.Expr) -> bool:
+        used = sorted(factor.free_symbols, key=str)
+        for s in used:
+            shifted = factor.subs(s, s + 2 * sp.pi)
+            same = True in (is_zero(shifted - factor), is_zero(shifted + factor))
+            if s in self.turning and not same:
+                return False
+        if len(used) == 1 and used[0] in self.ends:
+            return _between(factor, used[0], *self.ends[used[0]])
+        if not all(s in self.sides for s in used):
             return False
-    if len(used) == 1 and used[0] in ends:
-        return _between(factor, used[0], *ends[used[0]])
-    if not all(s in wide for s in used):
-        return False
-    box = Interval(np.array([wide[s].lo for s in used]), np.array([wide[s].hi for s in used]))
-    if len(used) == 1:
-        return _off_zero(factor, used[0], box, lambda cells: np.zeros(cells.shape[0], dtype=bool))
-    cells = subdivide(box, max(4, int(_CELLS ** (1 / len(used)))))
-    found = matrix_enclosure(sp.Matrix([[factor]]), used, cells)
-    return bool(((found.lo > 0) | (found.hi < 0)).all())
+        sides = [self.sides[s] for s in used]
+        box = Interval(np.array([v.lo for v in sides]), np.array([v.hi for v in sides]))
+        if len(used) == 1:
+            return _off_zero(factor, used[0], box, _none)
+        cells = subdivide(box, max(4, int(_CELLS ** (1 / len(used)))))
+        found = matrix_enclosure(sp.Matrix([[factor]]), used, cells)
+        return bool(((found.lo > 0) | (found.hi < 0)).all())
+
+
+def _none(cells: Interval) -> Truth:
+    return np.zeros(cells.shape[0], dtype=bool)
+
+
+class BetweenFaces(OverBox):
+    """Matrices over a box (N,) in which some states stay strictly between exact ends."""
+
+    def __init__(self, symbols: Sequence[sp.Symbol], box: Interval, between: Between) -> None:
+        super().__init__(symbols, box)
+        self.between = between
+
+    @property
+    def middle(self) -> dict[sp.Symbol, Interval]:
+        """One state of the set."""
+        return {s: point(v) for s, v in zip(self.symbols, self.box.mid, strict=True)}
+
+    def finite(self, matrix: sp.Matrix) -> bool:
+        """Whether every entry is finite wherever these states are."""
+        return self.between.is_smooth(matrix, self.middle)
+
+    def regular(self, matrix: sp.Matrix) -> bool:
+        """Whether a square matrix is regular wherever these states are, by its determinant."""
+        det = sp.Matrix(matrix).det()
+        short = sp.simplify(det)
+        det = short if is_zero(short - det) is True else det
+        return self.between.off_zero(sp.numer(sp.together(det)))
 
 
 def _between(factor: sp.Expr, symbol: sp.Symbol, lo: sp.Expr, hi: sp.Expr) -> bool:

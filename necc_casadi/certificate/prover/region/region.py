@@ -6,18 +6,22 @@ go. Where nothing ends it, its level is the one at which the input limits bind.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+import sympy as sp
 
+from necc_casadi.certificate.claims.regions import Region
 from necc_casadi.certificate.prover.arithmetic.intervals import Interval
 from necc_casadi.certificate.prover.arithmetic.potential import Potential
 from necc_casadi.certificate.prover.input_limits import input_level
+from necc_casadi.certificate.prover.invariant_sets import OverBox
+from necc_casadi.certificate.prover.region.curved_search import prove_curved
 from necc_casadi.certificate.prover.region.obstacle import Obstacle
 from necc_casadi.certificate.prover.region.partial import Component, Components
+from necc_casadi.certificate.prover.region.proof import RegionProof
 
-__all__ = ["RegionProof", "prove_region", "prove_region_within_limits"]
+__all__ = ["prove_region", "prove_region_within_limits"]
 
 #: Heights above V(z̄) at which input limits are tried: shares of the whole, smallest first; where
 #: nothing ends the region, multiples of the natural unit of energy.
@@ -25,32 +29,42 @@ _SHARES = tuple(2.0**-k for k in range(12, -1, -1))
 _HEIGHTS = tuple(2.0**k for k in range(-12, 21))
 #: Halvings between the last height at which u keeps its limits and the first at which it does not.
 _HALVINGS = 3
-#: Shares of a height, and of the range of a state that is minimised out, that are given away.
-_EASED, _ROOM = 1e-6, 0.01
+#: The share of the range of a state that is minimised out that is given away.
+_ROOM = 0.01
 
 
-@dataclass(frozen=True, eq=False)
-class RegionProof:
-    """A component and what is known of it; natural units."""
+class ComponentProof(RegionProof):
+    """A component of which some states are minimised out."""
 
-    component: Component
-    bottom: float  # an upper bound of V(z̄)
-
-    def height(self, level: float) -> float:
-        """Less than a level above V(z̄), by what other arithmetic may need."""
-        return (1 - _EASED) * (level - self.bottom)
+    def __init__(self, component: Component, bottom: float) -> None:
+        self.component, self._bottom = component, bottom
 
     @cached_property
-    def reach(self) -> Interval:
-        """A box (N,) of all states that holds the component, with room for other arithmetic."""
+    def region(self) -> Region:
+        """Ω as data."""
+        return self.component.region
+
+    @property
+    def obstacle(self) -> Obstacle:
+        """What Ω stays just below."""
+        return self.component.obstacle
+
+    @property
+    def bottom(self) -> float:
+        """An upper bound of V(z̄)."""
+        return self._bottom
+
+    @cached_property
+    def place(self) -> OverBox:
+        """A box (N,) of all states that holds Ω, with room for other arithmetic."""
         component = self.component
+        loop = component.reduced.potential.design.loop
         found, s = component.ranges, np.zeros(len(component.ranges.lo), dtype=bool)
         s[[component.reduced.potential.active[i] for i in component.reduced.kept]] = True
         room = np.where(s, 0.0, _ROOM * (found.hi - found.lo))
         bounds = component.bounds.bounds
-        return Interval(
-            np.maximum(found.lo - room, bounds.lo), np.minimum(found.hi + room, bounds.hi)
-        )
+        lo, hi = np.maximum(found.lo - room, bounds.lo), np.minimum(found.hi + room, bounds.hi)
+        return OverBox(loop.z, Interval(lo, hi))
 
     @cached_property
     def level_u(self) -> float | None:
@@ -83,16 +97,28 @@ class RegionProof:
         return input_level(potential, self.component.fibres(level), level, self.bottom)
 
 
-def prove_region(potential: Potential, z_bar: Interval) -> RegionProof | None:
-    """The component just below what ends it; None where none is proved."""
-    components = Components(potential, z_bar)
+def prove_region(potential: Potential, minimum: Interval) -> RegionProof | None:
+    """The component just below what ends it; None where none is proved.
+
+    `potential` has the momenta at rest; `minimum` (N,) holds z̄.
+    """
+    curved = prove_curved(potential, minimum) if _is_curved(potential) else None
+    if curved is not None:
+        return curved
+    components = Components(potential, minimum[list(potential.active)])
     component = components.largest()
-    return None if component is None else RegionProof(component, components.bottom)
+    return None if component is None else ComponentProof(component, components.bottom)
 
 
-def prove_region_within_limits(potential: Potential, z_bar: Interval) -> RegionProof | None:
+def _is_curved(potential: Potential) -> bool:
+    """Whether a Casimir is no linear function of the states."""
+    loop, functions = potential.design.loop, potential.design.casimirs.functions
+    return any(sp.diff(c, s).free_symbols for c in functions for s in loop.z)
+
+
+def prove_region_within_limits(potential: Potential, minimum: Interval) -> RegionProof | None:
     """The component at whose level the input limits bind, where nothing else ends it."""
-    components = Components(potential, z_bar)
+    components = Components(potential, minimum[list(potential.active)])
     level = _level_of_limits(components)
     proof = None if level is None else _at(components, level)
     for _ in range(_HALVINGS):
@@ -115,10 +141,10 @@ def _level_of_limits(components: Components) -> float | None:
     return best
 
 
-def _at(components: Components, level: float) -> RegionProof | None:
+def _at(components: Components, level: float) -> ComponentProof | None:
     """The component at a level that only the inputs end."""
     component = components.at(level, Obstacle("input_limits", level, np.zeros(0)))
-    return None if component is None else RegionProof(component, components.bottom)
+    return None if component is None else ComponentProof(component, components.bottom)
 
 
 def _larger(a: float | None, b: float | None) -> float | None:

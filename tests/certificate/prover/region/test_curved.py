@@ -6,6 +6,7 @@ import json
 import numpy as np
 import pytest
 import sympy as sp
+from flint import arb
 from helpers.constructed import EXAMPLES, make_design
 from scipy.integrate import solve_ivp
 
@@ -21,7 +22,7 @@ from necc_casadi.certificate.prover.arithmetic.potential import Potential
 from necc_casadi.certificate.prover.equilibrium import prove_equilibrium
 from necc_casadi.certificate.prover.region.curved import Curved
 from necc_casadi.certificate.prover.region.curved_search import prove_curved
-from necc_casadi.certificate.prover.region.poles import denominators, poles_around, stays_defined
+from necc_casadi.certificate.prover.region.poles import Between, denominators, poles_around
 from necc_casadi.lyapunov.networks import Network
 from necc_casadi.lyapunov.parameterization import Form
 from necc_casadi.model.model_file import load_model
@@ -216,7 +217,7 @@ def test_other_attitudes_of_the_same_level_are_not_members(satellite, proof):
 def test_solutions_from_the_region_go_to_its_one_minimum(satellite, proof):
     """24 random starts in Ω, most of them near its border, by an outside integrator."""
     region, rng = proof.region, np.random.default_rng(11)
-    box, starts = proof.box(), []
+    box, starts = proof.place.box[list(region.active)], []
     while len(starts) < 24:
         z = np.zeros(9)
         share = rng.uniform(0.3, 1.0)
@@ -261,12 +262,18 @@ def test_poles_come_from_the_models_own_denominators():
         (1 / (x - 2), (sp.Integer(1), sp.Integer(3)), False),
         (sp.sin(1 / (x - 2)), (sp.Integer(1), sp.Integer(3)), False),
         (1 / (x**2 + 1), (sp.Integer(-5), sp.Integer(5)), True),
-        (sp.sqrt(x + 9), (sp.Integer(-5), sp.Integer(5)), False),  # undecided, so not claimed
+        (sp.sqrt(x + 9), (sp.Integer(-5), sp.Integer(5)), True),
+        (sp.log(x + 5), (sp.Integer(-5), sp.Integer(5)), True),  # its pole is an end
+        (sp.sqrt(x - 9), (sp.Integer(-5), sp.Integer(5)), False),  # x − 9 < 0
+        (sp.Abs(x), (sp.Integer(1), sp.Integer(5)), False),  # undecided, so not claimed
+        (sp.atan(sp.tan(x)), (-sp.pi, sp.pi), False),  # a sawtooth, though its slope is 1
     ],
 )
 def test_where_an_entry_is_defined_between_exact_ends(entry, ends, defined):
-    assert stays_defined([entry], {x: ends}, {}, []) is defined
-    assert Surroundings({x: ends}, {}, []).without_pole([entry]) is defined
+    middle = float((ends[0] + ends[1]) / 2) + 0.01
+    between, surroundings = Between({x: ends}, {}, []), Surroundings({x: ends}, {}, [])
+    assert between.is_smooth([entry], {x: point(np.float64(middle))}) is defined
+    assert surroundings.is_smooth([entry], {x: arb(middle)}) is defined
 
 
 def test_an_angle_stands_for_all_its_turns():
@@ -274,8 +281,8 @@ def test_an_angle_stands_for_all_its_turns():
     side = (-3.1415927, 3.1415927)
     wide = {x: Interval(np.float64(side[0]), np.float64(side[1]))}
     for entry, defined in ((1 / (4 - x), False), (1 / (2 + sp.cos(x)), True)):
-        assert stays_defined([entry], {}, wide, [x]) is defined
-        assert Surroundings({}, {x: side}, [x]).without_pole([entry]) is defined
+        assert Between({}, wide, [x]).is_smooth([entry], {x: point(np.float64(0))}) is defined
+        assert Surroundings({}, {x: side}, [x]).is_smooth([entry], {x: arb(0)}) is defined
 
 
 def test_a_plant_with_stiffness_of_its_own_is_not_of_this_kind(default_design):
