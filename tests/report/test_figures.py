@@ -157,7 +157,9 @@ def test_where_no_region_is_proved_a_cross_says_so(default_design):
     figure = figures.sweep_figure(default_design, sweep((0.3, None, 0.1), (None, 1.0, 1.0)))
     lines = lines_of(figure.axes[1])
     np.testing.assert_array_equal(lines["no region proved"], [[0.5, 0.0]])
-    (proved,) = (xy for label, xy in lines.items() if "at least" in label)
+    (proved,) = (
+        xy for label, xy in lines.items() if "proved region" in label and "no " not in label
+    )
     assert list(np.isnan(proved[:, 1])) == [False, True, False]
     assert drawn(figure).startswith(b"\x89PNG")
     nothing = figures.sweep_figure(default_design, sweep((None,) * 3, (None,) * 3))

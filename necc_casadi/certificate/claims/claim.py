@@ -10,7 +10,7 @@ __all__ = ["CERTIFICATE_FILE", "CERTIFICATE_FORMAT", "DESIGN_FILE", "Claim"]
 
 
 #: Version of the layout of certificate.json.
-CERTIFICATE_FORMAT = 4
+CERTIFICATE_FORMAT = 5
 
 
 #: Names in a folder of necc-design: what is claimed, and what it is claimed about.

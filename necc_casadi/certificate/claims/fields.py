@@ -103,8 +103,10 @@ def _typed(hint: Any, value: Any, name: str) -> Any:
     """A value as the type says; JSON has lists for tuples."""
     origin, parts = get_origin(hint), get_args(hint)
     if origin in (Union, types.UnionType) and types.NoneType in parts:
+        if value is None:
+            return None
         (inner,) = (part for part in parts if part is not types.NoneType)
-        return None if value is None else _typed(inner, value, name)
+        return _typed(inner, value, name)
     if origin is tuple and isinstance(value, list):
         many = len(parts) == 2 and parts[1] is Ellipsis
         inner = parts[:1] * len(value) if many else parts

@@ -81,7 +81,7 @@ _FOLLOWS: dict[Follows, str] = {
 #: What a region ends at.
 _OBSTACLES: dict[ObstacleKind, str] = {
     "critical_point": "another critical point of V",
-    "singularity": "a pole of the model",
+    "singularity": "a pole or kink of the model",
     "domain": "a bound that the model names",
     "input_limits": "the input limits",
     "arithmetic": "the arithmetic of the proof, below what was met",

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 from helpers.commands import here
-from helpers.constructed import quadratic_pendulum
+from helpers.oscillators import soft_pendulum
 
 from necc_casadi.certificate.claims.statements import ONLY_STABLE
 from necc_casadi.certificate.prover.certify import certify
@@ -64,10 +64,18 @@ def expression(value):
 
 
 def bomb(data):
-    """16 GB of zeros in a few kilobytes, and a shape that asks for them."""
+    """64 MB of zeros in a few kilobytes."""
     packer = zlib.compressobj(9)
     parts = [packer.compress(bytes(1 << 20)) for _ in range(64)]
     data["region"]["cells"] = base64.b64encode(b"".join(parts) + packer.flush()).decode()
+
+
+def curved(data):
+    """A region of another kind, of which every entry has its type."""
+    data["region"] = {
+        "level": data["region"]["level"], "active": [0, 2], "floor_k": [1.0], "floor_h": [1.0],
+        "height": 1.0, "faces": [], "columns": [0], "center": [0.0, 0.0], "method": "curved",
+    }  # fmt: skip
 
 
 def instead(name, make):
@@ -133,7 +141,7 @@ FOLDERS = {
         first("certificate.json", '{"x": ' + "[" * 500 + "]" * 500 + ","), 2
     ),
     "many lists": (text("design.json", lambda t: "[" + "[]," * 10_000_000 + "[]]"), 2),
-    "twin keys": (first("certificate.json", '{"format": 4,'), 2),
+    "twin keys": (first("certificate.json", '{"format": 5,'), 2),
     "twin keys in the design": (first("design.json", '{"a": "0x1p0",'), 2),
     "NaN": (certificate(lambda data: data.update(level=float("nan"))), 2),
     "1e999": (first("certificate.json", '{"nu": 1e999,'), 2),
@@ -152,9 +160,11 @@ FOLDERS = {
     "wide networks": (design(huge_widths), 2),
     "many states": (design(many_states), 2),
     "a state that writes to the terminal": (design(name_state), 2),
-    "a huge grid": (certificate(lambda data: data["region"].update(shape=[10**9] * 3)), 2),
-    "a grid of more than the shape": (certificate(bomb), 2),
-    "a grid that is not base 64": (certificate(lambda data: data["region"].update(cells="é")), 2),
+    "a huge grid": (certificate(lambda data: data["region"]["box"].update(parts=10**9)), 2),
+    "a flood of cells": (certificate(bomb), 2),
+    "cells that are not base 64": (certificate(lambda data: data["region"].update(cells="é")), 2),
+    "a region of no kind": (certificate(lambda data: data["region"].update(method="magic")), 2),
+    "a curved region of a plant that has none": (certificate(curved), 4),
     "an edited model": (design(lambda data: data["model"].update(name="other")), 4),
     "a claim of one's own": (certificate(named("everything")), 4),
     "a claim that writes to the terminal": (certificate(named(ESCAPES * 1000)), 4),
@@ -168,7 +178,7 @@ FOLDERS = {
 @pytest.fixture(scope="module")
 def good(tmp_path_factory):
     folder = tmp_path_factory.mktemp("good")
-    made = quadratic_pendulum()
+    made = soft_pendulum()
     made.save(folder / "design.json")
     (folder / "certificate.json").write_text(certify(made).to_json(), encoding="utf-8")
     return folder
@@ -227,7 +237,7 @@ def test_the_folder_that_was_spoilt_is_good(good):
 
 def test_stability_is_proved_without_the_verdict(tmp_path):
     """What the verdict in design.json says is shown nowhere and changes nothing."""
-    made = quadratic_pendulum()
+    made = soft_pendulum()
     made.save(tmp_path / "design.json")
     design(stable_by_hearsay)(tmp_path)
     stored = json.loads(certify(made, region=False).to_json())

@@ -112,8 +112,8 @@ class BoundProof:
 
         def inside(room: arb, box: Box) -> bool:
             held = all(
-                (sides[i][0] <= lo or sides[i][0] == bounds[i][0])
-                and (hi <= sides[i][1] or sides[i][1] == bounds[i][1])
+                (sides[i][0] <= lo or sides[i][0] <= bounds[i][0])
+                and (hi <= sides[i][1] or sides[i][1] >= bounds[i][1])
                 for i, (lo, hi) in zip(active, box, strict=True)
             )
             return held and all(

@@ -40,7 +40,7 @@ def region_proof(evidence: Evidence, region: Region | CurvedRegion) -> RegionPro
     ValueError
         When the region is not of its form.
     """
-    if isinstance(region, CurvedRegion):
+    if region.method == "curved":
         return CurvedRegionProof(evidence, region)
     return ComponentProof(evidence, region)
 

@@ -19,14 +19,16 @@ from necc_casadi.arrays import Truth, Vector
 from necc_casadi.certificate.prover.arithmetic.boxes import matrix_enclosure
 from necc_casadi.certificate.prover.arithmetic.definite import positive_definite
 from necc_casadi.certificate.prover.arithmetic.intervals import Interval, concatenate, point
-from necc_casadi.certificate.prover.arithmetic.jets import constant
+from necc_casadi.certificate.prover.arithmetic.jets import constant, expression_values
 from necc_casadi.certificate.prover.arithmetic.potential import Potential
+from necc_casadi.certificate.prover.arithmetic.smooth import written
 from necc_casadi.certificate.prover.invariant_sets import loop_is_defined
 from necc_casadi.certificate.prover.region.leaves import Leaves
 from necc_casadi.certificate.prover.region.obstacle import Obstacle, Search
 from necc_casadi.certificate.prover.region.reduced import Reduced
 from necc_casadi.certificate.prover.region.split import Splits
 from necc_casadi.designs.design import Design
+from necc_casadi.symbolic.smoothness import Condition, conditions
 
 __all__ = ["Bounds", "bounds_of"]
 
@@ -87,25 +89,24 @@ class Bounds:
         return 1.0 if phi is None else float(phi.delta)
 
     @cached_property
-    def _poles(self) -> list[tuple[sp.Expr, list[int]]]:
-        """Entries of Jcl − Rcl and 𝒢 that vary, and the states that they contain."""
-        loop = self._design.loop
-        entries = {e for e in (*loop.M, *loop.ports) if e.free_symbols}
-        ordered = sorted(entries, key=str)
-        return [(e, [i for i, v in enumerate(loop.z) if e.has(v)]) for e in ordered]
+    def _conditions(self) -> list[Condition]:
+        """What must hold for everything to be smooth, of parts that vary."""
+        demands = conditions(written(self._design)) or ()
+        return sorted((d for d in demands if d.part.free_symbols), key=str)
 
     # --- in floating point --------------------------------------------------------------------
 
     def defined(self, nodes: Vector, e: Vector, half: Vector) -> Truth:
-        """Whether the loop has no pole near nodes (B, ds), within ± half, at minimisers e."""
+        """Whether all is smooth near nodes (B, ds), within ± half, at minimisers e."""
         loop, landscape = self._design.loop, self.reduced.landscape
         lo, hi = landscape.states(nodes - half, e), landscape.states(nodes + half, e)
         result = np.ones(len(nodes), dtype=bool)
         with np.errstate(all="ignore"):
-            for entry, used in self._poles:
-                box = Interval(np.minimum(lo, hi)[:, used], np.maximum(lo, hi)[:, used])
-                found = matrix_enclosure(sp.Matrix([[entry]]), [loop.z[i] for i in used], box)
-                result &= np.isfinite(found.lo + found.hi).all((-1, -2))
+            box = Interval(np.minimum(lo, hi), np.maximum(lo, hi))
+            around = {s: box[:, i] for i, s in enumerate(loop.z)}
+            for demand in self._conditions:
+                (value,) = expression_values([demand.part], around)
+                result &= (value.lo > 0) | ((value.hi < 0) & (not demand.positive))
         return result
 
     def lowest(self, found: Search) -> Obstacle | None:

@@ -13,7 +13,6 @@ from necc_casadi.certificate.claims.regions import CellBox, Region, Side, number
 from necc_casadi.certificate.prover.arithmetic.intervals import Interval
 from necc_casadi.certificate.prover.arithmetic.potential import Potential
 from necc_casadi.certificate.prover.region.bounds import Bounds, bounds_of
-from necc_casadi.certificate.prover.region.critical_box import critical_box
 from necc_casadi.certificate.prover.region.leaves import Base, Leaves, prove_component
 from necc_casadi.certificate.prover.region.obstacle import (
     NEAR_ENOUGH,
@@ -94,11 +93,6 @@ class Components:
         """The bounds that the model names, (N,)."""
         return bounds_of(self.potential.design)
 
-    @property
-    def bounded(self) -> bool:
-        """Whether the model names a bound of a state."""
-        return bool(np.isfinite(self.bounds.lo).any() or np.isfinite(self.bounds.hi).any())
-
     @cached_property
     def bottom(self) -> float:
         """An upper bound of V(z̄)."""
@@ -110,14 +104,12 @@ class Components:
 
     @cached_property
     def _around(self) -> Interval:
-        """Where the search begins: the domain, or the box that holds every critical point."""
+        """Where the search begins; it grows until something ends the component."""
         active = list(self.potential.active)
         domain = self.potential.design.domain.of(active)
-        box = None if self.bounded else critical_box(self.potential)
-        if box is None:
-            box = Interval(domain.lo, domain.hi)
-        lo = np.maximum(np.minimum(box.lo, self.z_bar.lo), self.bounds.lo[active])
-        return Interval(lo, np.minimum(np.maximum(box.hi, self.z_bar.hi), self.bounds.hi[active]))
+        lo = np.maximum(np.minimum(domain.lo, self.z_bar.lo), self.bounds.lo[active])
+        hi = np.minimum(np.maximum(domain.hi, self.z_bar.hi), self.bounds.hi[active])
+        return Interval(lo, hi)
 
     @cached_property
     def candidates(self) -> list[Bounds]:
@@ -179,6 +171,8 @@ class Components:
         self, bounds: Bounds, found: Search, level: float, room: float, obstacle: Obstacle
     ) -> Component | None:
         kept = list(bounds.reduced.kept)
+        if not (found.levels <= room).any():
+            return None
         base = _base(bounds, *found.around(room))
         fitting = _refloored(bounds, base)
         if fitting is None:

@@ -63,7 +63,8 @@ class ComponentProof(RegionProof):
         s[[component.reduced.potential.active[i] for i in component.reduced.kept]] = True
         room = np.where(s, 0.0, _ROOM * (found.hi - found.lo))
         bounds = component.bounds.bounds
-        lo, hi = np.maximum(found.lo - room, bounds.lo), np.minimum(found.hi + room, bounds.hi)
+        least, most = np.nextafter(bounds.lo, -np.inf), np.nextafter(bounds.hi, np.inf)
+        lo, hi = np.maximum(found.lo - room, least), np.minimum(found.hi + room, most)
         return OverBox(loop.z, Interval(lo, hi))
 
     @cached_property
