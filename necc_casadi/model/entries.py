@@ -14,6 +14,7 @@ from necc_casadi.symbolic.expressions import FUNCTIONS, exact, is_finite, non_sm
 from necc_casadi.symbolic.floats import to_float
 from necc_casadi.symbolic.linear_algebra import generic_rank
 from necc_casadi.symbolic.semidefinite import is_positive_semidefinite
+from necc_casadi.symbolic.smoothness import without_hidden_zeros
 from necc_casadi.symbolic.zero import Undecided, is_zero, sign
 
 __all__ = [
@@ -115,7 +116,7 @@ def scalar_entry(value: object, label: str, allowed: Sequence[sp.Symbol]) -> sp.
             f"{label} contains {part}, which is not one of the smooth functions",
             f"Use {', '.join(FUNCTIONS)}, and powers.",
         )
-    return expr
+    return without_hidden_zeros(expr)
 
 
 def shaped_matrix(value: Any, label: str, allowed: Sequence[sp.Symbol]) -> sp.ImmutableMatrix:

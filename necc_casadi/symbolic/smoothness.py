@@ -12,7 +12,9 @@ from dataclasses import dataclass
 
 import sympy as sp
 
-__all__ = ["Condition", "conditions", "periodic"]
+from necc_casadi.symbolic.zero import is_zero
+
+__all__ = ["Condition", "conditions", "periodic", "without_hidden_zeros"]
 
 
 @dataclass(frozen=True)
@@ -72,6 +74,18 @@ def _of_power(base: sp.Expr, exponent: sp.Expr) -> list[Condition]:
     if exponent.is_Integer:
         return [] if exponent >= 0 else [Condition(base, False)]
     return [Condition(base, True)]
+
+
+def without_hidden_zeros(expr: sp.Expr) -> sp.Expr:
+    """`expr` without the sums of exponentials that are identically zero, for all real values.
+
+    In floating point their terms overflow, or leave a rest. A sum that is not smooth everywhere
+    stays, since it is not 0 where it has no value.
+    """
+    growing = (sp.exp, sp.sinh, sp.cosh)
+    sums = [part for part in sp.preorder_traversal(expr) if part.is_Add and part.has(*growing)]
+    gone = {s: sp.Integer(0) for s in sums if conditions([s]) == () and is_zero(s) is True}
+    return expr.xreplace(gone) if gone else expr
 
 
 def periodic(demands: Iterable[Condition], symbols: Iterable[sp.Symbol]) -> set[sp.Symbol]:

@@ -17,7 +17,7 @@ from necc_casadi.designs.natural import (
     rescaled_casimirs,
     units_for,
 )
-from necc_casadi.errors import OptionError
+from necc_casadi.errors import ModelError, OptionError
 from necc_casadi.lyapunov.lyapunov import Terms, make_terms
 from necc_casadi.lyapunov.networks import KAPPA_MIN
 from necc_casadi.lyapunov.parameterization import Form
@@ -129,11 +129,27 @@ def make_plan(
         anchor=Anchor(guess / units.state[terms.n :]),
         extra=None,
     )
+    _check_numbers(plan)
     plan = replace(plan, anchor=_anchor(plan, verdict, options))
     if options.learn_casimir:
         penalty = casimir_penalty(terms, form, natural, plan.z, options.seed)
         return replace(plan, extra=penalty)
     return replace(plan, extra=_shaping(plan, options))
+
+
+def _check_numbers(plan: Plan) -> None:
+    """Refuse a target at which H cannot be evaluated in floating point."""
+    plant = plan.loop.plant
+    slopes = [(f"∂H/∂{s}", g) for s, g in zip(plant.states, plant.grad_H, strict=True)]
+    for label, part in (("H", plant.H), *slopes):
+        with np.errstate(all="ignore"):
+            value = sp.lambdify(plant.x, part, "numpy")(*map(np.float64, plan.x_star))
+        if not np.isfinite(value):
+            raise ModelError(
+                "singular",
+                f"{label} has no value in floating-point numbers at the target",
+                "Write H without large terms that cancel, or choose a target nearer to rest.",
+            )
 
 
 def _curvature(

@@ -203,7 +203,8 @@ class Net:
         most = {1: 16, 2: 4}.get(self.d, 2)
         sides = []
         for (lo, hi), steep in zip(box, self.steepest, strict=True):
-            count = min(most, max(1, math.ceil((hi - lo) * steep / _SPREAD)))
+            turns = (hi - lo) * steep / _SPREAD
+            count = min(most, max(1, math.ceil(turns))) if math.isfinite(turns) else 1
             ends = [lo + (hi - lo) * k / count for k in range(count)] + [hi]
             sides.append(list(pairwise(ends)))
         return list(product(*sides))

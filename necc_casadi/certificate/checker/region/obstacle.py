@@ -88,8 +88,8 @@ class ObstacleProof:
             ends(arb(v) + _length(side) * _BESIDE * ball(-1.0, 1.0))
             for v, side in zip(self.at, self.reach, strict=True)
         )
-        finite = self.evidence.full.value(around).is_finite()
-        return not (finite and loop_is_defined(self.model, around))
+        smooth = loop_is_defined(self.model, around)
+        return not (smooth and self.evidence.full.value(around).is_finite())
 
     def _is_at_a_bound(self) -> bool:
         return any(

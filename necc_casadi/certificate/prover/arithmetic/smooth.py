@@ -17,7 +17,7 @@ from necc_casadi.certificate.prover.arithmetic.jets import expression_values
 from necc_casadi.designs.design import Design
 from necc_casadi.symbolic.smoothness import Condition, conditions, periodic
 
-__all__ = ["is_smooth_everywhere", "is_smooth_on", "written"]
+__all__ = ["holds_everywhere", "is_smooth_everywhere", "is_smooth_on", "written"]
 
 
 #: Cells on which a condition is looked at, in all.
@@ -53,15 +53,14 @@ def is_smooth_everywhere(expressions: Iterable[sp.Expr], symbols: Sequence[sp.Sy
     are unbounded intervals.
     """
     demands = conditions(expressions)
-    if demands is None:
-        return False
+    return demands is not None and all(holds_everywhere(demand, symbols) for demand in demands)
+
+
+def holds_everywhere(demand: Condition, symbols: Sequence[sp.Symbol]) -> bool:
+    """Whether one condition is proved for all real values."""
     line, period = Interval(np.array(-np.inf), np.array(np.inf)), Interval(*map(np.array, _PERIOD))
-    for demand in demands:
-        turning = periodic([demand], symbols)
-        sides = {s: period if s in turning else line for s in symbols}
-        if not _holds(demand, sides, turning):
-            return False
-    return True
+    turning = periodic([demand], symbols)
+    return _holds(demand, {s: period if s in turning else line for s in symbols}, turning)
 
 
 def _holds(demand: Condition, sides: dict[sp.Symbol, Interval], cut: set[sp.Symbol]) -> bool:

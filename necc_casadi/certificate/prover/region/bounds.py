@@ -40,13 +40,14 @@ _OVER = 1e-6
 _WIDER = (1.01, 1.05, 1.2, 1.5, 2.0, 4.0)
 
 
-def bounds_of(design: Design) -> Interval:
-    """The bounds that the model names for its states, rounded inwards; ±∞ where it names none."""
+def bounds_of(design: Design, *, outwards: bool = False) -> Interval:
+    """The bounds that the model names for its states, ±∞ where it names none; rounded inwards."""
     lo, hi = np.full(design.loop.n, -np.inf), np.full(design.loop.n, np.inf)
     for i, name in enumerate(design.loop.states):
         if name in design.loop.plant.domain:
             below, above = (constant(sp.sympify(b)) for b in design.loop.plant.domain[name])
-            lo[i], hi[i] = float(below.hi), float(above.lo)
+            lo[i] = float(below.lo if outwards else below.hi)
+            hi[i] = float(above.hi if outwards else above.lo)
     return Interval(lo, hi)
 
 
@@ -164,6 +165,18 @@ class Bounds:
         usable: Truth = np.asarray(np.isfinite(A).all((1, 2)))
         safe = np.where(usable[:, None, None], A, np.eye(A.shape[-1]))
         return np.where(usable[:, None, None], np.linalg.pinv(safe, hermitian=True), np.nan)
+
+    def defined_on(self, cells: Interval) -> Truth:
+        """Whether what depends on s alone is smooth on cells (B, ds)."""
+        kept = [self.splits.symbols[i] for i in self.reduced.kept]
+        around = {s: cells[:, k] for k, s in enumerate(kept)}
+        result = np.ones(cells.shape[0], dtype=bool)
+        with np.errstate(all="ignore"):
+            for demand in self._conditions:
+                if demand.part.free_symbols <= set(kept):
+                    (value,) = expression_values([demand.part], around)
+                    result &= (value.lo > 0) | ((value.hi < 0) & (not demand.positive))
+        return result
 
     # --- proved -------------------------------------------------------------------------------
 

@@ -8,7 +8,7 @@ A second component of {w ≤ c} among its cells would hold a minimum of w in a r
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from itertools import product
 
@@ -29,6 +29,10 @@ _ROUNDS, _MOST = 14, 20_000
 _STRADDLING = 5
 #: Halves of the box's sides that are tried for the core, largest first.
 _CORE_SHARES = (0.5, 0.25, 0.125, 0.0625, 0.03, 0.01, 0.003)
+
+
+#: Cells (B, ds) → whether everything is smooth on each, as far as s alone tells.
+Defined = Callable[[Interval], Truth]
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,15 +81,20 @@ class Leaves:
 
 
 def prove_component(
-    reduced: Reduced, base: Base, s_bar: Interval, level: float, bottom: float
+    reduced: Reduced,
+    base: Base,
+    s_bar: Interval,
+    level: float,
+    bottom: float,
+    defined: Defined | None = None,
 ) -> Leaves | None:
     """The component of {w ≤ c} around s̄ in the box, with one critical point; None: not proved.
 
-    `bottom` is an upper bound of V(z̄).
+    `bottom` is an upper bound of V(z̄). Cells on which `defined` finds a pole are cut.
     """
     if not level > bottom:
         return None
-    return _proved(reduced, base, s_bar, level)
+    return _proved(reduced, base, s_bar, level, defined)
 
 
 def prove_unique(reduced: Reduced, base: Base, s_bar: Interval) -> Leaves | None:
@@ -93,7 +102,13 @@ def prove_unique(reduced: Reduced, base: Base, s_bar: Interval) -> Leaves | None
     return _proved(reduced, base, s_bar, None)
 
 
-def _proved(reduced: Reduced, base: Base, s_bar: Interval, level: float | None) -> Leaves | None:
+def _proved(
+    reduced: Reduced,
+    base: Base,
+    s_bar: Interval,
+    level: float | None,
+    defined: Defined | None = None,
+) -> Leaves | None:
     core = _core(reduced, base, s_bar)
     if core is None:
         return None
@@ -102,6 +117,8 @@ def _proved(reduced: Reduced, base: Base, s_bar: Interval, level: float | None) 
     leaves = _leaves(reduced, base, np.zeros(len(index), dtype=int), index, core)
     for turn in range(_ROUNDS):
         marked, needed = _judged(reduced, leaves, s_bar, level, turn)
+        if defined is not None:
+            needed |= marked & ~defined(leaves.boxes)
         if not needed.any():
             settled = Leaves(base, leaves.depth, leaves.index, leaves.cover, marked, core)
             return settled if marked.any() else None

@@ -177,7 +177,9 @@ class Components:
         fitting = _refloored(bounds, base)
         if fitting is None:
             return None
-        leaves = prove_component(fitting.reduced, base, self.z_bar[kept], level, self.bottom)
+        leaves = prove_component(
+            fitting.reduced, base, self.z_bar[kept], level, self.bottom, fitting.defined_on
+        )
         if leaves is None or not fitting.kept(leaves, level):
             return None
         ranges = fitting.ranges(leaves, level)

@@ -16,6 +16,7 @@ from necc_casadi.certificate.prover.arithmetic.intervals import Interval
 from necc_casadi.certificate.prover.arithmetic.potential import Potential
 from necc_casadi.certificate.prover.input_limits import input_level
 from necc_casadi.certificate.prover.invariant_sets import OverBox
+from necc_casadi.certificate.prover.region.bounds import bounds_of
 from necc_casadi.certificate.prover.region.curved_search import prove_curved
 from necc_casadi.certificate.prover.region.obstacle import Obstacle
 from necc_casadi.certificate.prover.region.partial import Component, Components
@@ -60,11 +61,10 @@ class ComponentProof(RegionProof):
         component = self.component
         loop = component.reduced.potential.design.loop
         found, s = component.ranges, np.zeros(len(component.ranges.lo), dtype=bool)
+        bounds = bounds_of(component.reduced.potential.design, outwards=True)
         s[[component.reduced.potential.active[i] for i in component.reduced.kept]] = True
         room = np.where(s, 0.0, _ROOM * (found.hi - found.lo))
-        bounds = component.bounds.bounds
-        least, most = np.nextafter(bounds.lo, -np.inf), np.nextafter(bounds.hi, np.inf)
-        lo, hi = np.maximum(found.lo - room, least), np.minimum(found.hi + room, most)
+        lo, hi = np.maximum(found.lo - room, bounds.lo), np.minimum(found.hi + room, bounds.hi)
         return OverBox(loop.z, Interval(lo, hi))
 
     @cached_property

@@ -7,7 +7,7 @@ depend on angles, over a whole period, and on s, over the box in question; never
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations
@@ -22,8 +22,10 @@ from necc_casadi.certificate.prover.arithmetic.definite import positive_definite
 from necc_casadi.certificate.prover.arithmetic.hessian_floor import sharpest_floor
 from necc_casadi.certificate.prover.arithmetic.intervals import Interval, matmul
 from necc_casadi.certificate.prover.arithmetic.potential import Potential
+from necc_casadi.certificate.prover.arithmetic.smooth import holds_everywhere, written
 from necc_casadi.certificate.prover.region.critical_box import is_periodic
 from necc_casadi.certificate.prover.region.reduced import Reduced
+from necc_casadi.symbolic.smoothness import conditions
 
 __all__ = ["Splits"]
 
@@ -85,12 +87,30 @@ class Splits:
     def candidates(self, around: Interval) -> Iterator[Reduced]:
         """Splits with V_ee ≻ 0 for s in the box `around` (d,), the fewest kept states first.
 
-        Among equals the widest margin comes first, in the units of the box.
+        Those come first that keep all states in which the plant has a pole or a kink, where the
+        search can see it. Among equals the widest margin is first, in the units of the box.
         """
+        guarded = self._guarded
+        yield from self._splits(around, lambda kept: guarded <= set(kept))
+        yield from self._splits(around, lambda kept: not guarded <= set(kept))
+
+    @cached_property
+    def _guarded(self) -> set[int]:
+        """Active states in which not everything is smooth for all values."""
+        design = self.potential.design
+        demands = conditions(written(design)) or ()
+        met = {d: holds_everywhere(d, design.loop.z) for d in demands}
+        return {
+            i for i, s in enumerate(self.symbols) if any(d.part.has(s) for d in met if not met[d])
+        }
+
+    def _splits(
+        self, around: Interval, may: Callable[[tuple[int, ...]], bool]
+    ) -> Iterator[Reduced]:
         d = len(self.symbols)
         for size in range(d if self._is_mixed else 0, min(d, MOST_KEPT) + 1):
             found = []
-            for kept in combinations(range(d), size):
+            for kept in filter(may, combinations(range(d), size)):
                 reduced = self.split(kept, around)
                 if reduced is not None:
                     sizes = (around.hi - around.lo)[list(reduced.gone)]
