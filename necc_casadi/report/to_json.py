@@ -111,6 +111,7 @@ def _certificate(certificate: Certificate, found: Findings) -> dict[str, Any]:
         "level": certificate.level,
         "level_above_minimum": certificate.level_above_minimum,
         "level_u": certificate.level_u,
+        "level_clipped": certificate.level_clipped,
         "limited_by": certificate.limited_by,
         "obstacle": None
         if obstacle is None

@@ -35,7 +35,7 @@ _TIE = "\N{NO-BREAK SPACE}"
 
 
 #: Claims that no exit code rests on.
-_OPTIONAL_CLAIMS = ("global", "input_limits")
+_OPTIONAL_CLAIMS = ("global", "input_limits", "clipping")
 
 
 #: Lists of more states than this are shortened in the text, never in the JSON.

@@ -17,8 +17,8 @@ VERDICT = {"assignable", "reason", "stability", "a_max", "casimirs", "casimir_co
            "kernel_rank", "casimir_count_generic"}  # fmt: skip
 MADE = {"xi_star", "a", "a_requested", "loss", "gradient_norm", "hessian_min_eig", "z_bar",
         "distance", "bound_paper", "bound_rigorous", "spectral_abscissa", "stability"}  # fmt: skip
-CERTIFICATE = {"claims", "level", "level_above_minimum", "level_u", "limited_by", "obstacle",
-               "reach", "domain_share", "simulated_share", "global"}  # fmt: skip
+CERTIFICATE = {"claims", "level", "level_above_minimum", "level_u", "level_clipped", "limited_by",
+               "obstacle", "reach", "domain_share", "simulated_share", "global"}  # fmt: skip
 
 
 # --- the main job --------------------------------------------------------------------------------

@@ -18,7 +18,7 @@ from necc_casadi.certificate.checker.decrease import check_decrease
 from necc_casadi.certificate.checker.equilibrium import check_equilibrium
 from necc_casadi.certificate.checker.evidence import Checked, Evidence
 from necc_casadi.certificate.checker.global_stability import check_global
-from necc_casadi.certificate.checker.input_limits import check_input_limits
+from necc_casadi.certificate.checker.input_limits import check_clipping, check_input_limits
 from necc_casadi.certificate.checker.model import StoredDesign
 from necc_casadi.certificate.checker.reading import (
     check_design,
@@ -97,6 +97,8 @@ def _everything(evidence: Evidence) -> list[Checked]:
         results.append(checked)
     if evidence.claimed("input_limits") or certificate.level_u is not None:
         results.append(check_input_limits(evidence, proof, region_holds))
+    if evidence.claimed("clipping") or certificate.level_clipped is not None:
+        results.append(check_clipping(evidence, proof, region_holds))
     if evidence.claimed("global") or certificate.is_global:
         results.append(check_global(evidence, settled.holds))
     return results

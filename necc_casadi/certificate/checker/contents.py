@@ -15,6 +15,7 @@ __all__ = ["check_contents"]
 _BESIDE = {
     "region": ("level", "level_above_minimum", "obstacle", "reach", "region"),
     "input_limits": ("level_u",),
+    "clipping": ("level_clipped",),
 }
 
 

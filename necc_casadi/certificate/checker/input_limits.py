@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import Any
+
 import sympy as sp
 from flint import arb
 
@@ -12,7 +15,7 @@ from necc_casadi.certificate.checker.model import StoredDesign
 from necc_casadi.certificate.checker.region.proof import RegionProof
 from necc_casadi.certificate.claims import statements
 
-__all__ = ["InputProof", "check_input_limits"]
+__all__ = ["InputProof", "check_clipping", "check_input_limits"]
 
 
 #: How often a box may be halved: small levels need small boxes.
@@ -25,10 +28,12 @@ class InputProof:
     The momenta s are within ½ δ sᵀAs ≤ c_u − V(y, 0).
     """
 
-    def __init__(self, model: StoredDesign, energy: Energy, level: float) -> None:
-        self.model, self.energy, self.level = model, energy, level
+    def __init__(
+        self, model: StoredDesign, energy: Energy, level: float, damping: Sequence[Sequence[Any]]
+    ) -> None:
+        self.model, self.energy, self.level, self.damping = model, energy, level, damping
         self.resting = [i for i in range(len(model.z)) if i not in energy.active]
-        coupled = any(any(row[model.m :]) for row in model.damping[: model.m])
+        coupled = any(any(row[model.m :]) for row in damping)
         self.driven = [
             (k, i)
             for k, i in enumerate(energy.active)
@@ -62,12 +67,12 @@ class InputProof:
         Gc = [[evaluate(e, values) for e in row] for row in model.Gc.tolist()]
         stiff = [[evaluate(e, values) for e in row] for row in self.A.tolist()]
         for k, (lo, hi) in enumerate(model.u_limits or ()):
-            given = model.damping[k]
+            given = self.damping[k]
             damped = [sum((given[j] * g for j, g in enumerate(row)), arb(0)) for row in ports]
             u = -sum((Gc[j][k] * slope for j, slope in enumerate(slopes)), arb(0))
             u = u - sum((damped[i] * gradient[at] for at, i in self.driven), arb(0))
             swing = self._swing([damped[i] for i in self.resting], stiff, room)
-            if not (bool(u - swing >= float(lo)) and bool(u + swing <= float(hi))):
+            if not (bool(u - swing > float(lo)) and bool(u + swing < float(hi))):
                 return False
         return True
 
@@ -90,19 +95,49 @@ class InputProof:
 
 def check_input_limits(evidence: Evidence, proof: RegionProof | None, sound: bool) -> Checked:
     """U stays within the model's limits wherever V ≤ c_u on the cells of the region."""
-    level, limits = evidence.certificate.level_u, evidence.model.stated_limits
-    unit = evidence.model.units.energy
+    model = evidence.model
+    given = model.damping[: model.m]
+    return _check(evidence, proof, sound, "input_limits", evidence.certificate.level_u, given)
+
+
+def check_clipping(evidence: Evidence, proof: RegionProof | None, sound: bool) -> Checked:
+    """U without its damping is strictly within the limits: clip(−y_c − Dw) = −y_c − ΣDw.
+
+    With D diagonal and 0 ≺ Σ ⪯ I diagonal V̇ ≤ 0 stays, and V̇ = 0 still means w = 0.
+    """
+    model, m = evidence.model, evidence.model.m
+    damping = model.damping
+    alone = not any(
+        damping[i][j] or damping[j][i] for i in range(m) for j in range(2 * m) if i != j
+    )
+    none = [[0] * (2 * m) for _ in range(m)]
+    level = evidence.certificate.level_clipped
+    return _check(evidence, proof, sound and alone, "clipping", level, none)
+
+
+_WORDS = {"input_limits": statements.input_limits, "clipping": statements.clipping}
+
+
+def _check(
+    evidence: Evidence,
+    proof: RegionProof | None,
+    sound: bool,
+    name: str,
+    level: float | None,
+    damping: Sequence[Sequence[Any]],
+) -> Checked:
+    """The inputs with this damping are within the limits up to a level."""
+    limits, unit = evidence.model.stated_limits, evidence.model.units.energy
     if level is None or limits is None or proof is None or not sound:
         given = level is not None and limits is not None and proof is not None
-        missing = "a proved region" if given else "limits, a level or a region in the files"
-        text = f"no input limits are proved to be kept, for want of {missing}"
-        return Checked("input_limits", False, text)
-    height = float(evidence.claims["input_limits"].data["level_above_minimum"])
+        missing = "what it rests on" if given else "limits, a level or a region in the files"
+        return Checked(name, False, f"no input limits are proved, for want of {missing}")
+    height = float(evidence.claims[name].data["level_above_minimum"])
     natural, bottom = level / unit, proof.bottom
-    inputs = InputProof(evidence.model, proof.energy, natural)
+    inputs = InputProof(evidence.model, proof.energy, natural, damping)
     return Checked.by(
-        "input_limits",
-        statements.input_limits(limits, height, natural == proof.level),
+        name,
+        _WORDS[name](limits, height, natural == proof.level),
         [
             ("V(z̄) < c_u", lambda: bool(bottom < natural)),
             ("c_u is as high above V(z̄)", lambda: bool(bottom + height / unit <= natural)),

@@ -58,6 +58,7 @@ class Certificate:
     level: float | None = None  # c of the region {V ≤ c}
     level_above_minimum: float | None = None  # c − V(z̄) is at least this
     level_u: float | None = None  # c_u ≤ c with u within its limits on {V ≤ c_u}
+    level_clipped: float | None = None  # c_y ≤ c with claims that hold for clipped u on {V ≤ c_y}
     obstacle: Obstacle | None = None  # what the region stays just below
     #: state → least and greatest value on the region; None: an angle that may take every value
     reach: Mapping[str, Side | None] | None = None

@@ -16,6 +16,7 @@ from necc_casadi.certificate.claims.motions import Follows
 from necc_casadi.certificate.claims.regions import MOST_KEPT, Obstacle, ObstacleKind
 
 __all__ = [
+    "CLIPPING_IS_NOT_COVERED",
     "DAMPING",
     "DECREASE",
     "GLOBAL",
@@ -27,10 +28,12 @@ __all__ = [
     "Missing",
     "attraction",
     "casimir",
+    "clipping",
     "conserved",
     "equilibrium",
     "input_limits",
     "limited_by",
+    "no_clipping",
     "no_limits",
     "not_global",
     "ranges",
@@ -111,6 +114,11 @@ NO_NEIGHBOURHOOD = (
 TOO_MANY = f"{NO_NEIGHBOURHOOD}, with at most {MOST_KEPT} states that are not minimised out"
 
 
+CLIPPING_IS_NOT_COVERED = (
+    "nothing is claimed of clipped inputs: the damping D is not diagonal, or coupled with ξ"
+)
+
+
 #: Coordinates of a place that are told at most.
 _TOLD = 6
 
@@ -164,6 +172,7 @@ def unproved(limits: Sequence[Sequence[float]]) -> Mapping[str, frozenset[str]]:
     return {
         "region": frozenset([NO_REGION, NO_NEIGHBOURHOOD, TOO_MANY]),
         "input_limits": frozenset([no_limits(limits)]),
+        "clipping": frozenset([no_clipping(limits), CLIPPING_IS_NOT_COVERED]),
         "global": frozenset(map(not_global, get_args(Missing))),
     }
 
@@ -194,6 +203,20 @@ def input_limits(limits: Sequence[Sequence[float]], height: float, whole: bool) 
         f"u stays within {ranges(limits)} on {where}, which is invariant: saturation never acts "
         "there"
     )
+
+
+def clipping(limits: Sequence[Sequence[float]], height: float, whole: bool) -> str:
+    """Of the height above V(z̄) up to which clipped inputs change nothing of what is said."""
+    where = "Ω" if whole else f"{{V − V(z̄) ≤ {_down(height, 6)}}} in Ω"
+    return (
+        f"with every input clipped to {ranges(limits)} all that is said of solutions holds on "
+        f"{where}: without its damping u stays strictly within them there"
+    )
+
+
+def no_clipping(limits: Sequence[Sequence[float]]) -> str:
+    """Where u without damping is not proved to stay within the limits of the model."""
+    return f"no neighbourhood of z̄ is proved to keep u without its damping within {ranges(limits)}"
 
 
 def ranges(limits: Sequence[Sequence[float]]) -> str:

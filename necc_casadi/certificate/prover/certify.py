@@ -26,6 +26,7 @@ from necc_casadi.certificate.prover.attraction import prove_attraction, prove_on
 from necc_casadi.certificate.prover.decrease import prove_decrease
 from necc_casadi.certificate.prover.equilibrium import Equilibrium, prove_equilibrium
 from necc_casadi.certificate.prover.global_stability import prove_global_stability
+from necc_casadi.certificate.prover.input_limits import clipping_is_covered
 from necc_casadi.certificate.prover.region.proof import RegionProof
 from necc_casadi.certificate.prover.region.region import prove_region, prove_region_within_limits
 from necc_casadi.certificate.prover.solutions import what_follows
@@ -127,7 +128,7 @@ def _extended(
     elif not isinstance(everywhere, GlobalClaim):
         claims.append(Claim("region", False, _no_region(design)))
     if design.loop.plant.u_limits is not None:
-        claims.append(_limits_claim(design, proof))
+        claims += [_limits_claim(design, proof), _clipping_claim(design, proof)]
     claims.append(_global_claim(everywhere))
     found = replace(
         certificate,
@@ -138,11 +139,13 @@ def _extended(
         return found
     energy, limited = design.units.energy, design.loop.plant.u_limits is not None
     level_u = proof.level_u if limited else None
+    level_clipped = proof.level_clipped if limited else None
     return replace(
         found,
         level=energy * proof.level,
         level_above_minimum=energy * proof.height(proof.level),
         level_u=None if level_u is None else energy * level_u,
+        level_clipped=None if level_clipped is None else energy * level_clipped,
         obstacle=_obstacle(design, proof),
         reach=_reach(design, proof),
         region=proof.region,
@@ -204,6 +207,17 @@ def _limits_claim(design: Design, proof: RegionProof | None) -> Claim:
     whole = proof.level_u == proof.level
     text = statements.input_limits(limits, height, whole)
     return Claim("input_limits", True, text, {"level_above_minimum": height})
+
+
+def _clipping_claim(design: Design, proof: RegionProof | None) -> Claim:
+    limits, energy = design.loop.plant.u_limits or (), design.units.energy
+    if not clipping_is_covered(design):
+        return Claim("clipping", False, statements.CLIPPING_IS_NOT_COVERED)
+    if proof is None or proof.level_clipped is None:
+        return Claim("clipping", False, statements.no_clipping(limits))
+    height, whole = energy * proof.height(proof.level_clipped), proof.level_clipped == proof.level
+    text = statements.clipping(limits, height, whole)
+    return Claim("clipping", True, text, {"level_above_minimum": height})
 
 
 def _equilibrium_claim(found: Equilibrium) -> Claim:

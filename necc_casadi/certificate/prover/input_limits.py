@@ -9,6 +9,7 @@ on each cell of y by the room that is left below c.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import sympy as sp
@@ -18,12 +19,17 @@ from necc_casadi.certificate.prover.arithmetic.boxes import matrix_enclosure
 from necc_casadi.certificate.prover.arithmetic.intervals import Interval, concatenate, matmul, point
 from necc_casadi.certificate.prover.arithmetic.networks import network_jet
 from necc_casadi.certificate.prover.arithmetic.potential import Potential
+from necc_casadi.designs.design import Design
 
-__all__ = ["input_level"]
+__all__ = ["clipping_is_covered", "holding_level", "input_level"]
 
 
 #: Rounds in which the cells that limit c_u are halved, and cells per round.
 _ROUNDS, _WORST = 24, 128
+
+
+#: Share of the range of an input that stays free at each end.
+_STRICT = 1e-6
 
 
 #: Share of the height above V(z̄) that is kept, so that other arithmetic can confirm it.
@@ -51,6 +57,34 @@ def input_level(
         cells = concatenate(cells[others], pieces)
     level = min(_eased(levels, bottom), ceiling)
     return level if level > bottom else None
+
+
+def clipping_is_covered(design: Design) -> bool:
+    """Whether clipped inputs leave V̇ ≤ 0: a diagonal D that is not coupled with ξ."""
+    m = design.loop.plant.m
+    rows, columns = design.damping[:m], design.damping[:, :m]
+    alone = not (rows[:, m:].any() or columns[m:].any())
+    return bool(alone and not (rows[:, :m] - np.diag(np.diag(rows[:, :m]))).any())
+
+
+def holding_level(
+    potential: Potential, cells: Interval, ceiling: float, bottom: float
+) -> float | None:
+    """The largest proved level up to which −Gcᵀ∇Hc is strictly within the limits of u.
+
+    There clip(−y_c − Dw) = −y_c − ΣDw with 0 ≺ Σ ⪯ I diagonal, w = Gᵀ∂V/∂x, so that whatever is
+    said of the loop holds with inputs that are clipped (docs/theory.md#clipped-inputs).
+    """
+    design = potential.design
+    if not clipping_is_covered(design):
+        return None
+    m, damping = design.loop.plant.m, design.damping.copy()
+    damping[:m] = 0.0
+    limits = design.loop.plant.u_limits or ()
+    inner = tuple((lo + _STRICT * (hi - lo), hi - _STRICT * (hi - lo)) for lo, hi in limits)
+    plant = replace(design.loop.plant, u_limits=inner)
+    held = replace(design, damping=damping, loop=replace(design.loop, plant=plant))
+    return input_level(replace(potential, design=held), cells, ceiling, bottom)
 
 
 def _eased(levels: Vector, bottom: float) -> float:

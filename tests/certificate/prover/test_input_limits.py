@@ -19,7 +19,7 @@ from necc_casadi.certificate.checker.check import check
 from necc_casadi.certificate.checker.evidence import Evidence
 from necc_casadi.certificate.checker.input_limits import check_input_limits
 from necc_casadi.certificate.checker.model import StoredDesign
-from necc_casadi.certificate.checker.region.region import RegionProof
+from necc_casadi.certificate.checker.region.region import region_proof
 from necc_casadi.certificate.claims.fields import Fields
 from necc_casadi.certificate.prover.certify import certify
 from necc_casadi.designs.design import Design
@@ -208,7 +208,7 @@ def rechecked(folder, change) -> bool:
     model = StoredDesign(json.loads((folder / "design.json").read_text(encoding="utf-8")))
     evidence = Evidence(model, Fields(data))
     region = evidence.certificate.region
-    proof = None if region is None else RegionProof(evidence, region)
+    proof = None if region is None else region_proof(evidence, region)
     return check_input_limits(evidence, proof, True).holds
 
 

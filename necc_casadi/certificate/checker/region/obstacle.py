@@ -102,7 +102,11 @@ class ObstacleProof:
 
     def _ends_at_the_inputs(self) -> bool:
         certificate = self.evidence.certificate
-        return self.evidence.claimed("input_limits") and certificate.level_u == certificate.level
+        bound = {"input_limits": certificate.level_u, "clipping": certificate.level_clipped}
+        return any(
+            self.evidence.claimed(name) and level == certificate.level
+            for name, level in bound.items()
+        )
 
 
 def _length(side: Side | None) -> arb:

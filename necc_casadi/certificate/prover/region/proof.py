@@ -49,6 +49,11 @@ class RegionProof(ABC):
         return None
 
     @property
+    def level_clipped(self) -> float | None:
+        """The largest level that was found at which clipped inputs do no harm; None: none was."""
+        return None
+
+    @property
     def level(self) -> float:
         """The level c."""
         return self.region.level

@@ -6,6 +6,7 @@ go. Where nothing ends it, its level is the one at which the input limits bind.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cached_property
 
 import numpy as np
@@ -14,7 +15,11 @@ import sympy as sp
 from necc_casadi.certificate.claims.regions import Region
 from necc_casadi.certificate.prover.arithmetic.intervals import Interval
 from necc_casadi.certificate.prover.arithmetic.potential import Potential
-from necc_casadi.certificate.prover.input_limits import input_level
+from necc_casadi.certificate.prover.input_limits import (
+    clipping_is_covered,
+    holding_level,
+    input_level,
+)
 from necc_casadi.certificate.prover.invariant_sets import OverBox
 from necc_casadi.certificate.prover.region.bounds import bounds_of
 from necc_casadi.certificate.prover.region.curved_search import prove_curved
@@ -70,10 +75,19 @@ class ComponentProof(RegionProof):
     @cached_property
     def level_u(self) -> float | None:
         """The largest level that was found at which u keeps its limits; None: none was."""
+        return self._largest(self.kept_below)
+
+    @cached_property
+    def level_clipped(self) -> float | None:
+        """The largest level that was found at which clipping does no harm; None: none was."""
+        design = self.component.reduced.potential.design
+        return self._largest(self.held_below) if clipping_is_covered(design) else None
+
+    def _largest(self, below: Callable[[float], float | None]) -> float | None:
         best: float | None = None
         low, high = 0.0, 1.0
         for share in _SHARES:
-            found = self.kept_below(self._level(share))
+            found = below(self._level(share))
             best = _larger(best, found)
             if found is None or found < self._level(share):
                 high = share
@@ -81,7 +95,7 @@ class ComponentProof(RegionProof):
             low = share
         for _ in range(_HALVINGS if low < high else 0):
             middle = (low + high) / 2
-            found = self.kept_below(self._level(middle))
+            found = below(self._level(middle))
             best = _larger(best, found)
             whole = found is not None and found >= self._level(middle)
             low, high = (middle, high) if whole else (low, middle)
@@ -96,6 +110,11 @@ class ComponentProof(RegionProof):
         """The largest level up to this one at which u keeps its limits, by boxes for this one."""
         potential = self.component.reduced.potential
         return input_level(potential, self.component.fibres(level), level, self.bottom)
+
+    def held_below(self, level: float) -> float | None:
+        """The largest level up to this one at which clipping does no harm."""
+        potential = self.component.reduced.potential
+        return holding_level(potential, self.component.fibres(level), level, self.bottom)
 
 
 def prove_region(potential: Potential, minimum: Interval) -> RegionProof | None:
@@ -118,24 +137,31 @@ def _is_curved(potential: Potential) -> bool:
 
 
 def prove_region_within_limits(potential: Potential, minimum: Interval) -> RegionProof | None:
-    """The component at whose level the input limits bind, where nothing else ends it."""
+    """The component at whose level the input limits bind, where nothing else ends it.
+
+    That is where clipping may do harm or, where that is not covered, where it begins.
+    """
     components = Components(potential, minimum[list(potential.active)])
-    level = _level_of_limits(components)
+    clipped = clipping_is_covered(potential.design)
+    level = _level_of_limits(components, clipped)
     proof = None if level is None else _at(components, level)
     for _ in range(_HALVINGS):
-        if proof is None or proof.level_u in (None, proof.component.level):
+        bound = None if proof is None else (proof.level_clipped if clipped else proof.level_u)
+        if proof is None or bound in (None, proof.component.level):
             return proof
-        proof = _at(components, proof.level_u or components.bottom)
+        proof = _at(components, bound or components.bottom)
     return None
 
 
-def _level_of_limits(components: Components) -> float | None:
-    """The largest level that was found at which u keeps its limits; None: none was."""
+def _level_of_limits(components: Components, clipped: bool) -> float | None:
+    """The largest level that was found at which the limits are kept; None: none was."""
     best: float | None = None
     for height in _HEIGHTS:
         level = components.bottom + height
         proof = _at(components, level)
-        kept = None if proof is None else proof.kept_below(level)
+        kept = None
+        if proof is not None:
+            kept = proof.held_below(level) if clipped else proof.kept_below(level)
         best = _larger(best, kept)
         if kept is None or kept < level:
             break
