@@ -1,13 +1,24 @@
-"""An attack on what is claimed: random states of Ω, followed by another integrator."""
+"""Attacks on what is claimed: states of Ω under another integrator, and files made to deceive."""
+
+import dataclasses
+import hashlib
+import json
+import math
 
 import numpy as np
 import pytest
-from helpers.constructed import EXAMPLES
+import sympy as sp
+from helpers.certificates import claim, reword, worded
+from helpers.constructed import EXAMPLES, make_design, mechanical
+from helpers.oscillators import QUADRATIC, soft_pendulum
 from scipy.integrate import solve_ivp
 
 from necc_casadi import Options, find_casimirs, judge, load_model
 from necc_casadi import design as synthesised
+from necc_casadi.certificate.checker.check import check
+from necc_casadi.certificate.checker.reading import model_hash
 from necc_casadi.certificate.prover.certify import certify
+from necc_casadi.errors import OutputError
 from necc_casadi.model.target import parse_target, target_from_model
 
 STATES, BATCH = 2000, 100
@@ -79,3 +90,75 @@ def test_no_state_of_the_region_leaves_it(name, target):
         if claim.data["follows"] == "converges":
             away = np.abs(path[-1] - design.z_bar) / design.sizes.state
             assert away.max() < 0.02
+
+
+# --- files that are made to deceive --------------------------------------------------------------
+
+
+def faults(folder, design, certificate) -> list[str]:
+    """Claims that do not hold of a design and a certificate with the right hashes."""
+    design["model_hash"] = model_hash(design)
+    text = json.dumps(design, ensure_ascii=False)
+    certificate["design_hash"] = hashlib.sha256(text.encode()).hexdigest()
+    (folder / "design.json").write_text(text, encoding="utf-8")
+    (folder / "certificate.json").write_text(json.dumps(certificate), encoding="utf-8")
+    return [f"{r.name}: {r.statement}" for r in check(folder) if not r.holds]
+
+
+def as_data(made, **options):
+    return json.loads(made.text), json.loads(certify(made, **options).to_json())
+
+
+def test_an_energy_of_the_controllers_states_is_none_of_the_plants(tmp_path):
+    """u = −Gcᵀ∇Hc knows nothing of H(q, ξ): ż = M∇(H + Hc) would be another loop."""
+    made = soft_pendulum()
+    design, certificate = as_data(made, region=False)
+    assert not faults(tmp_path, design, certificate)
+    off = float(made.x_star[0]) - float(made.xi_star[0])
+    design["model"]["H"] += f" + 5*(q - xi1 - ({off!r}))**2"
+    certificate["enclosure"] = certificate["bound_rigorous"] = 1e-5
+    claim(certificate, "equilibrium")["data"]["gradient_norm"] = 1e-8
+    claim(certificate, "attraction")["data"]["rate"] = 0.0
+    reword(certificate)
+    with pytest.raises(OutputError, match="xi1"):
+        faults(tmp_path, design, certificate)
+
+
+def turning():
+    """V = ½p² + ½(sin(q − ξ) − c̄)² + ½ξ²: q is an angle, and Ω ends at a fold of the Casimir."""
+    plant, middle = mechanical(lambda q, p: p**2 / 2, 1), sp.Rational(31, 10)
+    made = make_design(plant, (middle, 0), QUADRATIC, [0] * 8, [0.0])
+    c = sp.sin(plant.x[0] - made.loop.z[-1])
+    weights = np.array([0, 0, 1.0, 0, 0, 0, 1.0, math.sin(middle)])
+    casimirs = dataclasses.replace(made.casimirs, functions=(c,))
+    return dataclasses.replace(made, casimirs=casimirs, weights=weights)
+
+
+def test_an_angle_that_may_turn_keeps_no_bounds(tmp_path):
+    """±3.2 is more than a period, and yet Ω around q = 3.1 reaches beyond it."""
+    made = turning()
+    design, certificate = as_data(made)
+    assert certificate["reach"]["q1"] is None
+    assert not faults(tmp_path, design, certificate)
+    beyond = np.array([3.6, 0.0, 0.0])
+    assert certify(made).contains(made.V, beyond)
+    design["model"]["domain"] = {"q1": ["-16/5", "16/5"]}
+    (fault,) = faults(tmp_path, design, certificate)
+    assert fault.endswith("the region stays in the user's domain")
+
+
+def test_where_smoothness_is_not_proved_no_pole_is_claimed(tmp_path):
+    """1/((q − 5)² + 10⁻⁸) has none; in the expanded form boxes cannot tell."""
+    spike = sp.Rational(1, 10**8)
+    plant = mechanical(lambda q, p: p**2 / 2 + q**2 / 2 + spike / (q**2 - 10 * q + 25 + spike), 1)
+    made = make_design(plant, (0, 0), QUADRATIC, [0, 0, 1.0, 0, 0, 0, 1.0, 0], [0.0])
+    design, certificate = as_data(made)
+    assert certificate["obstacle"]["kind"] != "singularity"
+    assert not faults(tmp_path, design, certificate)
+    at = {"q1": 4.9, "p1": 0.0, "xi1": 2.45}
+    height = made.V(np.array([*at.values()])) - made.V(made.z_bar)
+    certificate["obstacle"] = {"kind": "singularity", "at": at, "level_above_minimum": height}
+    region = claim(certificate, "region")
+    region["statement"] = worded(certificate, region["data"]["follows"])
+    (fault,) = faults(tmp_path, design, certificate)
+    assert fault.endswith("the obstacle is what it is said to be")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
 from typing import Any
 
@@ -36,20 +36,21 @@ class StoredDesign:
         S, U = rationals(scale.state), rationals(scale.input)
         E, T = rationals([scale.energy, scale.time])
         plant, inner = S[: self.n], S[self.n :]
-        self.H = self._read(model["H"]) / E
+        x, xi = self.z[: self.n], self.z[self.n :]
+        self.H = self._read(model["H"], x) / E
         self.J, self.R = (
-            self._matrix(model[key], lambda i, j: T * E / (plant[i] * plant[j])) for key in "JR"
+            self._matrix(model[key], x, lambda i, j: T * E / (plant[i] * plant[j])) for key in "JR"
         )
-        self.G = self._matrix(model["G"], lambda i, j: T * U[j] / plant[i])
+        self.G = self._matrix(model["G"], x, lambda i, j: T * U[j] / plant[i])
         self.Jc, self.Rc = (
-            self._matrix(model[key], lambda i, j: T * E / (inner[i] * inner[j]))
+            self._matrix(model[key], xi, lambda i, j: T * E / (inner[i] * inner[j]))
             for key in ("Jc", "Rc")
         )
-        self.Gc = self._matrix(model["Gc"], lambda i, j: E / (inner[i] * U[j]))
+        self.Gc = self._matrix(model["Gc"], xi, lambda i, j: E / (inner[i] * U[j]))
         self.m = self.G.cols
         self.casimir_texts: list[str] = data["casimirs"]["functions"]
         texts = zip(self.casimir_texts, rationals(scale.casimir), strict=True)
-        self.casimirs = [self._read(text) / unit for text, unit in texts]
+        self.casimirs = [self._read(text, self.z) / unit for text, unit in texts]
         self.target = [
             parse(text, {}) / unit for text, unit in zip(data["target"], plant, strict=True)
         ]
@@ -86,15 +87,26 @@ class StoredDesign:
         pairs = zip(top + bottom, u + y, strict=True)
         return [divided(numbers(row), [unit / v for v in y + u]) for row, unit in pairs]
 
-    def _read(self, text: str) -> sp.Expr:
-        """An expression of the states, these in natural units."""
-        return parse(text, self.symbols).xreplace(
+    def _read(self, text: str, states: Sequence[sp.Symbol]) -> sp.Expr:
+        """An expression of these states, in natural units.
+
+        ż = M∇(H + Hc) is plant and controller together only where each knows its own states.
+        """
+        return parse(text, {s.name: s for s in states}).xreplace(
             {s: u * s for s, u in zip(self.z, rationals(self._scale.state), strict=True) if u != 1}
         )
 
-    def _matrix(self, rows: list[list[str]], unit: Callable[[int, int], sp.Expr]) -> sp.Matrix:
+    def _matrix(
+        self,
+        rows: list[list[str]],
+        states: Sequence[sp.Symbol],
+        unit: Callable[[int, int], sp.Expr],
+    ) -> sp.Matrix:
         return sp.Matrix(
-            [[self._read(v) * unit(i, j) for j, v in enumerate(row)] for i, row in enumerate(rows)]
+            [
+                [self._read(v, states) * unit(i, j) for j, v in enumerate(row)]
+                for i, row in enumerate(rows)
+            ]
         )
 
     @property

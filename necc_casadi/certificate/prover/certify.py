@@ -22,6 +22,7 @@ from necc_casadi.certificate.claims.regions import (
 from necc_casadi.certificate.claims.units import Units
 from necc_casadi.certificate.prover.arithmetic.intervals import Interval, self_test
 from necc_casadi.certificate.prover.arithmetic.potential import Potential
+from necc_casadi.certificate.prover.arithmetic.smooth import ends_at, written
 from necc_casadi.certificate.prover.attraction import prove_attraction, prove_only_stable
 from necc_casadi.certificate.prover.decrease import prove_decrease
 from necc_casadi.certificate.prover.equilibrium import Equilibrium, prove_equilibrium
@@ -37,8 +38,9 @@ __all__ = ["certify"]
 
 Report = Callable[[str, float], None]
 
-#: Coordinates of an obstacle that are smaller, in natural units, are 0.
-_NOTHING = 1e-9
+#: Coordinates of an obstacle that are smaller, in natural units, are 0; a pole is sought within
+#: this share of the region's reach.
+_NOTHING, _BESIDE = 1e-9, 0.1
 
 
 def certify(design: Design, *, region: bool = True, report: Report | None = None) -> Certificate:
@@ -171,7 +173,12 @@ def _obstacle(design: Design, proof: RegionProof) -> Obstacle:
     still = np.where(np.abs(found.z) < _NOTHING, 0.0, found.z)
     place = units_of(design).place(range(len(still)), map(float, still))
     height = design.units.energy * (found.level - proof.bottom)
-    return Obstacle(found.kind, dict(zip(states[: len(place)], place, strict=True)), height)
+    kind, box = found.kind, proof.place.box
+    if kind == "singularity":  # where the model was not proved to be smooth, it may still be
+        natural, beside = design.natural, _BESIDE * (box.hi - box.lo)
+        if not ends_at(written(natural), natural.loop.z, still, beside):
+            kind = "arithmetic"
+    return Obstacle(kind, dict(zip(states[: len(place)], place, strict=True)), height)
 
 
 def _reach(design: Design, proof: RegionProof) -> dict[str, Side | None]:

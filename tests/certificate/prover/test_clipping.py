@@ -88,9 +88,7 @@ def test_V_falls_with_clipped_inputs(made, certificate):
 
 def test_solutions_with_clipped_inputs_converge(made, certificate):
     for start in inside(made, certificate, 4, 0.8):
-        found = solve_ivp(
-            lambda t, z: clipped_field(made, z), (0, 60), start, rtol=1e-7, atol=1e-9
-        )
+        found = solve_ivp(lambda t, z: clipped_field(made, z), (0, 60), start, rtol=1e-7, atol=1e-9)
         assert np.abs(found.y[:, -1] - made.z_bar).max() < 0.02
 
 

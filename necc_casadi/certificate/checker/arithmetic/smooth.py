@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import reduce
+from itertools import product
 
 import sympy as sp
 from flint import arb
@@ -14,11 +15,12 @@ from flint import arb
 from necc_casadi.certificate.checker.arithmetic.balls import Box, ball, by_bisection, evaluate
 from necc_casadi.symbolic.smoothness import Condition, conditions, periodic
 
-__all__ = ["is_smooth_everywhere", "is_smooth_on"]
+__all__ = ["ends_within", "is_smooth_everywhere", "is_smooth_on"]
 
 
-#: How often a box may be halved before a condition on it counts as failed.
-_DEPTH = 14
+#: How often a box may be halved before a condition on it counts as failed; symbols of a condition
+#: that is looked at in the corners of a box.
+_DEPTH, _CORNERS = 14, 8
 
 #: Both ends of an interval; an end may be infinite.
 Range = tuple[arb, arb]
@@ -48,6 +50,27 @@ def _holds_on(demand: Condition, symbols: Sequence[sp.Symbol], box: Box) -> bool
         return bool(value > 0) or (not demand.positive and bool(value < 0))
 
     return by_bisection(sides, test, _DEPTH)
+
+
+def ends_within(expressions: Iterable[sp.Expr], symbols: Sequence[sp.Symbol], box: Box) -> bool:
+    """Whether some part of the expressions is proved to have a pole or a kink in a box.
+
+    In corners, what must not vanish has both signs, or what must be positive is negative.
+    """
+    return any(_fails_in(demand, symbols, box) for demand in conditions(expressions) or ())
+
+
+def _fails_in(demand: Condition, symbols: Sequence[sp.Symbol], box: Box) -> bool:
+    used = [(s, side) for s, side in zip(symbols, box, strict=True) if demand.part.has(s)]
+    if len(used) > _CORNERS:
+        return False
+    corners = product(*(side for _, side in used))
+    values = [
+        evaluate(demand.part, {s: arb(v) for (s, _), v in zip(used, corner, strict=True)})
+        for corner in corners
+    ]
+    above, below = any(bool(v > 0) for v in values), any(bool(v < 0) for v in values)
+    return below and (demand.positive or above)
 
 
 def is_smooth_everywhere(expressions: Iterable[sp.Expr], symbols: Sequence[sp.Symbol]) -> bool:

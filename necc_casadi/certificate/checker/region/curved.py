@@ -217,11 +217,14 @@ class CurvedProof:
         return by_bisection(tuple(hull[j] for j in used), test, _DEPTH)
 
     def _in_domain(self) -> bool:
+        """No bound is met; an angle, which may turn as far as it likes, has none."""
         model, hull = self.model, self.hull()
         faces = {face.state: self._ends(face) for face in self.region.faces}
         for k, i in enumerate(self.region.active):
             if model.states[i] not in model.domain:
                 continue
+            if k in self.turning:
+                return False
             lo, hi = model.domain[model.states[i]]
             if k in faces:
                 pairs = ((faces[k][0] - lo), (hi - faces[k][1]))

@@ -11,8 +11,8 @@ from flint import arb, arb_mat
 from necc_casadi.certificate.checker.arithmetic.balls import Box, ball, ends
 from necc_casadi.certificate.checker.arithmetic.definite import middle_of
 from necc_casadi.certificate.checker.arithmetic.potential import Energy, hessian_hull
+from necc_casadi.certificate.checker.arithmetic.smooth import ends_within
 from necc_casadi.certificate.checker.evidence import Evidence, Obligation
-from necc_casadi.certificate.checker.invariant_sets import loop_is_defined
 from necc_casadi.certificate.claims.regions import Obstacle, Side
 
 __all__ = ["ObstacleProof"]
@@ -83,13 +83,12 @@ class ObstacleProof:
         return _holds_a_zero(self.evidence.reduced(active), y, half, box)
 
     def _is_singular(self) -> bool:
-        """Whether V or the loop cannot be enclosed in the neighbourhood."""
+        """Whether the loop is proved to have a pole or a kink in the neighbourhood."""
         around: Box = tuple(
             ends(arb(v) + _length(side) * _BESIDE * ball(-1.0, 1.0))
             for v, side in zip(self.at, self.reach, strict=True)
         )
-        smooth = loop_is_defined(self.model, around)
-        return not (smooth and self.evidence.full.value(around).is_finite())
+        return ends_within(self.model.written, self.model.z, around)
 
     def _is_at_a_bound(self) -> bool:
         return any(

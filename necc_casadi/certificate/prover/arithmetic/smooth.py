@@ -7,21 +7,23 @@ parts of the original expressions are looked at before any derivative is.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from itertools import product
 
 import numpy as np
 import sympy as sp
 
+from necc_casadi.arrays import Vector
 from necc_casadi.certificate.prover.arithmetic.boxes import subdivide
-from necc_casadi.certificate.prover.arithmetic.intervals import Interval
+from necc_casadi.certificate.prover.arithmetic.intervals import Interval, point
 from necc_casadi.certificate.prover.arithmetic.jets import expression_values
 from necc_casadi.designs.design import Design
 from necc_casadi.symbolic.smoothness import Condition, conditions, periodic
 
-__all__ = ["holds_everywhere", "is_smooth_everywhere", "is_smooth_on", "written"]
+__all__ = ["ends_at", "holds_everywhere", "is_smooth_everywhere", "is_smooth_on", "written"]
 
 
-#: Cells on which a condition is looked at, in all.
-_CELLS = 4096
+#: Cells on which a condition is looked at, in all; symbols of one whose corners are looked at.
+_CELLS, _CORNERS = 4096, 8
 
 #: A little more than one period of sine and cosine.
 _PERIOD = (0.0, 6.2832)
@@ -61,6 +63,30 @@ def holds_everywhere(demand: Condition, symbols: Sequence[sp.Symbol]) -> bool:
     line, period = Interval(np.array(-np.inf), np.array(np.inf)), Interval(*map(np.array, _PERIOD))
     turning = periodic([demand], symbols)
     return _holds(demand, {s: period if s in turning else line for s in symbols}, turning)
+
+
+def ends_at(
+    expressions: Iterable[sp.Expr], symbols: Sequence[sp.Symbol], at: Vector, half: Vector
+) -> bool:
+    """Whether a part of the expressions is proved to have a pole or a kink near a place (N,).
+
+    In the box of these half-widths, what must not vanish has both signs, or what must be positive
+    is negative. A zero without a change of sign is not found.
+    """
+    places = dict(zip(symbols, zip(at - half, at + half, strict=True), strict=True))
+    for demand in conditions(expressions) or ():
+        used = sorted(demand.part.free_symbols, key=str)
+        if not 0 < len(used) <= _CORNERS:
+            continue
+        signs = np.array(list(product((-1.0, 1.0), repeat=len(used))))
+        variables = {
+            s: point(places[s][0] + places[s][1] * signs[:, k]) for k, s in enumerate(used)
+        }
+        with np.errstate(all="ignore"):
+            (value,) = expression_values([demand.part], variables)
+        if (value.hi < 0).any() and (demand.positive or (value.lo > 0).any()):
+            return True
+    return False
 
 
 def _holds(demand: Condition, sides: dict[sp.Symbol, Interval], cut: set[sp.Symbol]) -> bool:
