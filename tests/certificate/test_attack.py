@@ -147,6 +147,18 @@ def test_an_angle_that_may_turn_keeps_no_bounds(tmp_path):
     assert fault.endswith("the region stays in the user's domain")
 
 
+def test_places_where_v_is_as_low_may_be_in_other_components():
+    """sin(π − q) = sin q, and whole turns, though every stride of a way is one: V is the same."""
+    made = turning()
+    certificate = certify(made)
+    assert certificate.contains(made.V, made.z_bar)
+    away = [math.pi - 6.2, *(2 * math.pi * turns for turns in (1, 64, 128, 10**9))]
+    for shift in away:
+        other = made.z_bar + [shift, 0.0, 0.0]
+        assert made.V(other) < certificate.level
+        assert not certificate.contains(made.V, other)
+
+
 def test_where_smoothness_is_not_proved_no_pole_is_claimed(tmp_path):
     """1/((q − 5)² + 10⁻⁸) has none; in the expanded form boxes cannot tell."""
     spike = sp.Rational(1, 10**8)
