@@ -147,6 +147,76 @@ def test_an_angle_that_may_turn_keeps_no_bounds(tmp_path):
     assert fault.endswith("the region stays in the user's domain")
 
 
+def raised(certificate):
+    """Above the fold, V − V(z̄) = ½(1 − sin 3.1)², everything else in proportion."""
+    region, obstacle = certificate["region"], certificate["obstacle"]
+    for place in (region, certificate):
+        place["level"] *= 1.02
+    region["height"] *= 1.02
+    certificate["level_above_minimum"] *= 1.02
+    obstacle.update(
+        kind="arithmetic", level_above_minimum=1.02**2 * obstacle["level_above_minimum"]
+    )
+    for name in ("p1", "xi1"):
+        certificate["reach"][name] = [2 * side for side in certificate["reach"][name]]
+
+
+def faced(certificate):
+    """q between faces that ξ lets it cross."""
+    certificate["region"]["faces"] = [{"state": 0, "lo": "8/5", "hi": "9/2"}]
+    certificate["reach"]["q1"] = [1.6, 4.5]
+
+
+def scaled(key, factor):
+    def change(certificate):
+        certificate["region"][key] = [factor * v for v in certificate["region"][key]]
+
+    return change
+
+
+def narrowed(name):
+    def change(certificate):
+        certificate["reach"][name] = [0.99 * side for side in certificate["reach"][name]]
+
+    return change
+
+
+FORGED = {
+    "level": raised,
+    "faces": faced,
+    "K": scaled("floor_k", 1.01),
+    "Hc": scaled("floor_h", 1.01),
+    "momentum": narrowed("p1"),
+    "controller": narrowed("xi1"),
+    "bounded angle": lambda certificate: certificate["reach"].update(q1=[-3.2, 3.2]),
+    "block": lambda certificate: certificate["region"].update(columns=[0]),
+    "pole": lambda certificate: certificate["obstacle"].update(kind="singularity"),
+    "bound": lambda certificate: certificate["obstacle"].update(kind="domain"),
+}
+
+
+@pytest.mark.parametrize("change", FORGED.values(), ids=FORGED)
+def test_a_forged_curved_region_is_found(change, tmp_path):
+    """The words say what the altered numbers say: only proofs tell."""
+    design, certificate = as_data(turning())
+    change(certificate)
+    region = claim(certificate, "region")
+    region["statement"] = worded(certificate, region["data"]["follows"])
+    assert [fault[:7] for fault in faults(tmp_path, design, certificate)] == ["region:"]
+
+
+def test_places_where_v_is_as_low_may_be_in_other_components():
+    """sin(π − q) = sin q, and whole turns, though every stride of a way is one: V is the same."""
+    made = turning()
+    certificate = certify(made)
+    assert certificate.contains(made.V, made.z_bar)
+    away = [math.pi - 6.2, *(2 * math.pi * turns for turns in (1, 64, 128, 10**9))]
+    for shift in away:
+        other = made.z_bar + np.array([shift, 0.0, 0.0])
+        assert made.V(other) < certificate.level
+        assert not certificate.contains(made.V, other)
+
+
 def test_where_smoothness_is_not_proved_no_pole_is_claimed(tmp_path):
     """1/((q − 5)² + 10⁻⁸) has none; in the expanded form boxes cannot tell."""
     spike = sp.Rational(1, 10**8)

@@ -89,8 +89,13 @@ class Certificate:
         """Whether a state z (N,) is in Ω, by plain evaluation of V; False where none is proved."""
         if self.region is None:
             return False
-        natural = [v / unit for v, unit in zip(z, self.units.state, strict=True)]
-        return self.region.contains(lambda _: V(z) / self.units.energy, natural)
+        units = self.units.state
+        natural = [v / unit for v, unit in zip(z, units, strict=True)]
+
+        def value(at: Sequence[float]) -> float:
+            return V([v * unit for v, unit in zip(at, units, strict=True)]) / self.units.energy
+
+        return self.region.contains(value, natural)
 
     def to_json(self) -> str:
         """The content of certificate.json."""

@@ -12,6 +12,7 @@ critical point (docs/theory.md, curved Casimirs).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Literal
@@ -23,8 +24,9 @@ from necc_casadi.symbolic.expressions import parse
 
 __all__ = ["CurvedRegion", "Faces"]
 
-#: Points at which V is looked at on a straight way, and descents that are tried.
-_POINTS, _DESCENTS = 65, 200
+#: Points at which V is looked at on a straight way, at least and at most, their distance in natural
+#: units at most, so that no period of an angle is stepped over; and descents that are tried.
+_POINTS, _MOST_POINTS, _STRIDE, _DESCENTS = 65, 10_000, 0.1, 200
 
 
 @dataclass(frozen=True)
@@ -68,11 +70,13 @@ class CurvedRegion:
 
         at, end = np.asarray(z, float), np.zeros(len(z))
         end[list(self.active)] = self.center
-        if not (self._may_hold(at) and value(at) <= self.level):
+        far = float(np.abs(end - at).max())
+        if not (far <= _STRIDE * _MOST_POINTS and self._may_hold(at) and value(at) <= self.level):
             return False
         step = 0.1
         for _ in range(_DESCENTS):
-            ways = at + np.linspace(0.0, 1.0, _POINTS)[:, None] * (end - at)
+            count = max(_POINTS, math.ceil(np.abs(end - at).max() / _STRIDE) + 1)
+            ways = at + np.linspace(0.0, 1.0, count)[:, None] * (end - at)
             if all(value(way) <= self.level for way in ways):
                 return True
             slope = _slope(value, at)
