@@ -8,6 +8,7 @@ __all__ = [
     "NAME_IN_C",
     "Activation",
     "CasimirForm",
+    "InitialXi",
     "Integrator",
     "Mode",
     "PhiForm",
@@ -34,6 +35,10 @@ Shape = Literal["none", "regulariser", "level"]
 
 #: Of the training program: g = 0, t = 0 imposed, alone, over samples or for cost; or min s + t.
 Mode = Literal["hard", "shaped", "cost", "soft"]
+
+
+#: Where ξ starts: at ξ*, or at the minimum of V(x(0), ·).
+InitialXi = Literal["target", "minimum"]
 
 
 #: Number type of the C controller.

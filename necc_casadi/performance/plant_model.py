@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import casadi as ca
+import numpy as np
 
 from necc_casadi.arrays import Vector
 from necc_casadi.designs.design import Design
@@ -25,6 +26,8 @@ class PlantModel:
     cost: QuadraticCost
     size: Vector  # (n,) natural sizes
     u_size: Vector  # (m,)
+    u_low: Vector  # (m,) limits of the inputs, −∞ and ∞ without
+    u_high: Vector
     linear: Lqr | None  # None: LQR does not stabilise it
 
     @property
@@ -36,6 +39,11 @@ class PlantModel:
     def m(self) -> int:
         """Number of inputs."""
         return len(self.u_star)
+
+    @property
+    def limited(self) -> bool:
+        """Whether any input has a limit."""
+        return bool(np.isfinite([self.u_low, self.u_high]).any())
 
     def running_cost(self, x: ca.SX, u: ca.SX) -> ca.SX:
         """What (x, u) costs per unit of time."""
@@ -52,6 +60,8 @@ def plant_model(design: Design, cost: QuadraticCost) -> PlantModel:
     u = natural.control(x, natural.xi_star)[0]
     A, B = plant_linearisation(terms, x, u)
     scaled = cost.measured_in(units)
+    limits = natural.loop.plant.u_limits or ((-np.inf, np.inf),) * terms.m
+    low, high = np.array(limits, float).T
     return PlantModel(
         dynamics=plant_dynamics(terms),
         x_star=x,
@@ -59,5 +69,7 @@ def plant_model(design: Design, cost: QuadraticCost) -> PlantModel:
         cost=scaled,
         size=natural.sizes.state[: terms.n],
         u_size=natural.sizes.input,
+        u_low=low,
+        u_high=high,
         linear=lqr(A, B, scaled),
     )
