@@ -14,6 +14,7 @@ __all__ = [
     "PhiForm",
     "Precision",
     "Shape",
+    "Stop",
 ]
 
 
@@ -39,6 +40,11 @@ Mode = Literal["hard", "shaped", "cost", "soft"]
 
 #: Where ξ starts: at ξ*, or at the minimum of V(x(0), ·).
 InitialXi = Literal["target", "minimum"]
+
+
+#: What keeps a response from what was asked: a mode of the plant that no input moves, the peak of
+#: an input, the bound of ‖A‖, or that the program finds nothing faster in this structure.
+Stop = Literal["unmoved_mode", "input_peak", "norm_bound", "structure"]
 
 
 #: Number type of the C controller.

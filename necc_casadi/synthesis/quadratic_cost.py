@@ -11,7 +11,11 @@ so that xᵀPx is what a response costs near the target. N depends on the weight
     min  tr(P Z₀)/tr(P_LQR Σ) + shape + proximity,   ‖A‖_F ≤ √N ω,
 
 ω a few times LQR's fastest mode, Z₀ the mean of z zᵀ over starts of the domain with ξ(0) = ξ*.
-𝒟 + 𝒟ᵀ ≻ 0 makes every A Hurwitz that LaSalle's principle makes attract, so no constraint of
+With a rate α, A + αI stands in place of A in the Lyapunov equation: it has a solution P ⪰ 0 only
+where every mode decays faster than α, and the cost is that of responses times exp(αt). LQR's cost
+and modes are those of the plant with the same shift.
+
+Without, 𝒟 + 𝒟ᵀ ≻ 0 makes every A Hurwitz that LaSalle's principle makes attract, so no constraint of
 stability is needed. The networks cost much to move: quadratic parts and damping carry the cost,
 and V stays smooth away from z*.
 
@@ -42,6 +46,10 @@ __all__ = ["LinearQuadratic", "Responsive", "least_cost"]
 
 #: Multiples of LQR's fastest mode that the loop may have.
 _FASTEST = 6.0
+
+
+#: A norm above this share of the bound lies at it.
+_NEAR_THE_BOUND = 0.97
 
 
 #: Weight of the shape of V, and of staying where training ended.
@@ -81,6 +89,7 @@ class LinearQuadratic:
     starts: Vector  # (n, n) Σ: mean of (x − x*)(x − x*)ᵀ
     lqr_cost: float  # tr(P_LQR Σ)
     fastest: float  # of LQR's modes
+    rate: float = 0.0  # α, which every mode is to exceed
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,9 +99,11 @@ class Responsive:
     weights: Vector  # (form.size,)
     xi_star: Vector  # (nc,)
     damping: Vector  # 2m × 2m
+    eta: Vector  # its variables in the program
     start: Start
     before: float  # cost of the linearised loop over LQR's, at the start
     after: float
+    at_the_bound: bool  # of ‖A‖
 
 
 def least_cost(
@@ -106,8 +117,12 @@ def least_cost(
     damping: Vector,
     seed: int,
     verbose: bool = False,
+    begin: Responsive | None = None,
+    reached: float | None = None,
 ) -> Responsive | None:
     """V and 𝒟 of least cost, from a trained V and its damping; None where the loop has no cost.
+
+    None, too, where what IPOPT ends with does not decay faster than the rate.
 
     Parameters
     ----------
@@ -120,23 +135,29 @@ def least_cost(
     kappa_min
         Least curvature of the quadratic parts, natural units.
     weights, xi_star, damping
-        Where to begin.
+        Of training: what the solution is to stay near.
     seed
         That the weights were drawn with.
     verbose
         Print IPOPT's iterations.
+    begin
+        An earlier solution to begin with; by default what training ended with.
+    reached
+        A rate below the slowest mode of where to begin; by default that of the aim.
     """
     loop = _Loop(lifting, aim, damping)
-    small = lifting.jets_at(weights, xi_star)
-    eta = np.zeros(loop.eta.numel())
-    P = loop.cost_matrix(small, eta)
+    at = (weights, xi_star) if begin is None else (begin.weights, begin.xi_star)
+    small = lifting.jets_at(*at)
+    eta = np.zeros(loop.eta.numel()) if begin is None else begin.eta
+    P = loop.cost_matrix(small, eta, reached)
     if P is None:
         return None
     w_hat = (weights - lifting.tau) / lifting.sigma
     nlp = _Nlp(lifting, program, loop, w_hat, xi_star, kappa_min, verbose)
     began = time.perf_counter()
     L = np.asarray(np.linalg.cholesky(P), float)
-    solution, objective = nlp.solve(small, eta, L, w_hat)
+    first = w_hat if begin is None else (begin.weights - lifting.tau) / lifting.sigma
+    solution, objective = nlp.solve(small, eta, L, first)
     seconds = time.perf_counter() - began
     found = lifting.sigma * solution.w_hat + lifting.tau
     xi = solution.small[: lifting.terms.nc]
@@ -156,7 +177,9 @@ def least_cost(
         return None
     rounded = np.array([[float(f"{v:.3g}") for v in row] for row in made])
     kept = rounded if dissipates(rounded) else made
-    return Responsive(found, xi, kept, start, loop.relative(P), loop.relative(after))
+    near = loop.near_the_bound(solution.small, solution.eta)
+    ratios = loop.relative(P), loop.relative(after)
+    return Responsive(found, xi, kept, solution.eta, start, *ratios, near)
 
 
 class _Loop:
@@ -184,9 +207,12 @@ class _Loop:
         self._matrices = ca.Function("loop", [lifting.small, self.eta], [self.A, self.W])
         self.damping_of = ca.Function("damping", [self.eta], [D])
 
-    def cost_matrix(self, small: Vector, eta: Vector) -> Vector | None:
-        """P of the Lyapunov equation, (N, N); None where the loop does not decay."""
+    def cost_matrix(
+        self, small: Vector, eta: Vector, rate: float | None = None
+    ) -> Vector | None:
+        """P of the Lyapunov equation, (N, N); None where the loop does not decay at the rate."""
         A, W = (np.asarray(v, float) for v in self._matrices.call([small, eta]))
+        A = A + (self.aim.rate if rate is None else rate) * np.eye(len(A))
         if not np.isfinite(A).all() or np.linalg.eigvals(A).real.max() >= 0:
             return None
         P = scipy.linalg.solve_continuous_lyapunov(A.T, -W)
@@ -194,6 +220,12 @@ class _Loop:
         # a state that nothing costs has no share in P: the factor L_P must exist all the same
         P += 1e-9 * float(np.trace(P)) * np.eye(len(P))
         return P if np.linalg.eigvalsh(P)[0] > 0 else None
+
+    def near_the_bound(self, small: Vector, eta: Vector) -> bool:
+        """Whether ‖A‖ is all but as large as allowed."""
+        A = np.asarray(self._matrices.call([small, eta])[0], float)
+        allowed = np.sqrt(len(A)) * _FASTEST * self.aim.fastest
+        return bool(np.linalg.norm(A) > _NEAR_THE_BOUND * allowed)
 
     def relative(self, P: Vector) -> float:
         """tr(P Z₀) over LQR's."""
@@ -280,7 +312,8 @@ class _Nlp:
         for index, (i, j) in enumerate(self.pattern):
             L[i, j] = entries[index]
         P, n = L @ L.T, loop.n
-        balance = loop.A.T @ P + P @ loop.A + loop.W
+        shifted = loop.A + loop.aim.rate * ca.SX.eye(size)
+        balance = shifted.T @ P + P @ shifted + loop.W
         vanish = ca.vertcat(program.equalities, *[balance[i, j] for i, j in self.pattern])
         cost = ca.dot(P[:n, :n], ca.DM(loop.starts)) / loop.aim.lqr_cost
         excess = ca.sumsqr(loop.A) / (_FASTEST * loop.aim.fastest) ** 2 - size
