@@ -6,7 +6,8 @@ and disk margins at the plant's input; how many starts arrive; seconds of the de
 
     python benchmarks/quality.py [NAME ...]
 
-Weights are Bryson's: 1/size² of every state and input. Inputs stay within the limits of the model, where it has any.
+Weights are Bryson's: 1/size² of every state and input. Inputs stay within the limits
+of the model, where it has any.
 """
 
 from __future__ import annotations

@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from necc_casadi.arrays import Vector
 from necc_casadi.designs.design import Design
 from necc_casadi.model.cost import QuadraticCost
 from necc_casadi.performance.closed_loop_cost import Responses, design_feedback, responses
@@ -49,7 +48,7 @@ def _is_better(one: Responses, other: Responses) -> bool:
     more = int(one.arrived.sum()) - int(other.arrived.sum())
     if abs(more) > _FEW_MORE:
         return more > 0
-    both: Vector = np.flatnonzero(one.arrived & other.arrived)
+    both = np.flatnonzero(one.arrived & other.arrived)
     if not both.size:
         return False
     return bool(np.mean(np.log(one.cost[both] / other.cost[both])) < np.log(1 - _GAIN))

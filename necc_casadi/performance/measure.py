@@ -148,7 +148,9 @@ def step_start(design: Design) -> Vector:
     away = np.array([0.0 if i in design.momenta else design.sizes.state[i] for i in range(n)])
     x = design.z_star[:n]
     below = x - away
-    return np.asarray(np.where(below >= design.domain.lo[:n], below, (x + design.domain.lo[:n]) / 2))
+    return np.asarray(
+        np.where(below >= design.domain.lo[:n], below, (x + design.domain.lo[:n]) / 2)
+    )
 
 
 def _as_responses(found: Sequence[Optimal | None], like: Responses) -> Responses:

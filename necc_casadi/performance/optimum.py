@@ -125,9 +125,7 @@ class Optimum:
         states, inputs = self._straight(start) if guess is None else self._along(*guess)
         first = np.concatenate([states.ravel(), inputs.ravel()])
         with interruptible():
-            found = self.solver(
-                x0=first, p=start, lbx=self.lower, ubx=self.upper, lbg=0, ubg=0
-            )
+            found = self.solver(x0=first, p=start, lbx=self.lower, ubx=self.upper, lbg=0, ubg=0)
         if not self.solver.stats()["success"]:
             return None
         n, m = self.plant.n, self.plant.m

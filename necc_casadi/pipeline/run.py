@@ -6,6 +6,7 @@ together.
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import re
 import time
@@ -22,11 +23,13 @@ from necc_casadi.certificate.claims.certificate import Certificate
 from necc_casadi.certificate.prover.certify import certify
 from necc_casadi.designs.design import Design
 from necc_casadi.designs.outcome import Start, solver_seconds
+from necc_casadi.errors import InputError
 from necc_casadi.export.sampled_loop import SampledLoop
 from necc_casadi.files import LISTING, check_writable, write_text
 from necc_casadi.folders import whole_folder
 from necc_casadi.model.model_file import Model, load_model
 from necc_casadi.model.spot_checks import check_model_at
+from necc_casadi.performance.measure import Performance, measure
 from necc_casadi.pipeline.advice import (
     design_notes,
     model_notes,
@@ -57,8 +60,9 @@ from necc_casadi.report.landscape_figure import landscape_figure
 from necc_casadi.report.shares import sampled_share
 from necc_casadi.simulation.convergence import simulated_share
 from necc_casadi.simulation.responses import Trajectory, random_states, simulate
+from necc_casadi.synthesis.asked import Answer
 from necc_casadi.synthesis.options import Options
-from necc_casadi.synthesis.synthesis import design
+from necc_casadi.synthesis.synthesis import answered
 from necc_casadi.verdict.judge import judge
 from necc_casadi.verdict.verdict import Verdict
 
@@ -66,6 +70,10 @@ __all__ = ["run_design"]
 
 
 _RESPONSES = 10
+
+
+#: A parameter that is not known well, over the one of the model.
+_LARGER = sp.Rational(11, 10)
 
 
 #: Seconds of computing that all responses together may take.
@@ -105,12 +113,14 @@ def run_design(request: Request, say: Say) -> Findings:
 
 def _made(request: Request, task: _Task, found: Findings, folder: Path, clock: Clock) -> Findings:
     """Everything after a favourable verdict; files go into `folder`."""
-    made = _designed(task, clock)
+    answer = _designed(task, clock)
+    made = answer.design
     certificate = _certified(made, clock)
     files = _saved(made, certificate, folder)
     motion, share = _simulated(made, clock), sampled_share(made, certificate)
     export = _exported(request, made, certificate, folder, clock)
     sweep = () if request.sweep_a is None else _swept(request.sweep_a, task, clock)
+    performance = _compared(request, task, made, clock) if request.compare else None
     drawn = _drawn(request, made, certificate, motion.responses, sweep, folder, clock)
     return replace(
         found,
@@ -120,6 +130,8 @@ def _made(request: Request, task: _Task, found: Findings, folder: Path, clock: C
         domain_share=share,
         simulated_share=motion.share,
         sampling=export.sampling,
+        asked=answer.asked,
+        performance=performance,
         sweep=sweep,
         notes=(
             *task.notes,
@@ -173,21 +185,26 @@ def _judged(request: Request, say: Say) -> _Task:
 
 def _trained(task: _Task, options: Options, say: Say) -> Design:
     """One design at the target with these options."""
+    return _answered(task, options, say).design
+
+
+def _answered(task: _Task, options: Options, say: Say) -> Answer:
+    """The same, with how far the response is what was asked."""
     outcomes: list[Start] = []
 
     def report(start: Start) -> None:
         outcomes.append(start)
         say(f"training: start {len(outcomes)} of {options.starts}, loss {start.loss:.1e}")
 
-    return design(task.model.loop, task.casimirs, task.verdict, task.x_star, options, report)
+    return answered(task.model.loop, task.casimirs, task.verdict, task.x_star, options, report)
 
 
-def _designed(task: _Task, clock: Clock) -> Design:
+def _designed(task: _Task, clock: Clock) -> Answer:
     """Train and damp."""
     with clock.stage("design", "training"):
-        made = _trained(task, task.options, clock.say)
-    clock.timings["solve"] = solver_seconds(made.starts)
-    return made
+        answer = _answered(task, task.options, clock.say)
+    clock.timings["solve"] = solver_seconds(answer.design.starts)
+    return answer
 
 
 def _certified(made: Design, clock: Clock) -> Certificate:
@@ -235,6 +252,19 @@ class _Export:
         """What to know about the sample time."""
         warning = None if self.sampling is None else self.sampling.warning
         return () if warning is None else (warning,)
+
+
+def _compared(request: Request, task: _Task, made: Design, clock: Clock) -> Performance:
+    """Measure the design beside LQR and the optimum, and on plants that differ a little."""
+    given, values = read_parameters(request.param), task.model.params
+    with clock.stage("compare", "comparing with LQR and the optimum"):
+        others = {}
+        for name, value in values.items():
+            if value != 0:
+                changed = {**given, name: sp.sstr(value * _LARGER)}
+                with contextlib.suppress(InputError):  # no such plant: nothing to hold
+                    others[name] = load_model(request.model, changed).loop
+        return measure(made, cost=task.options.cost(made.sizes, made.loop.plant.n), others=others)
 
 
 def _exported(

@@ -16,7 +16,9 @@ from necc_casadi.designs.error_bound import natural_loss
 from necc_casadi.designs.measures import Measures, measure
 from necc_casadi.export.sampled_loop import SampledLoop
 from necc_casadi.model.closed_loop import ClosedLoop
+from necc_casadi.performance.measure import Performance
 from necc_casadi.simulation.responses import Trajectory
+from necc_casadi.synthesis.asked import Asked
 from necc_casadi.verdict.verdict import Verdict
 
 __all__ = ["Findings", "SweepPoint", "attracts", "global_claim", "region_claim"]
@@ -57,6 +59,8 @@ class Findings:
     domain_share: float | None = None  # of random states of the domain, momenta at rest, in Ω
     simulated_share: float | None = None  # of such states, from which the loop converges
     sampling: SampledLoop | None = None
+    asked: Asked | None = None  # of the response
+    performance: Performance | None = None  # with --compare
     sweep: Sequence[SweepPoint] = ()
     notes: tuple[str, ...] = ()
     files: tuple[str, ...] = ()  # relative to the folder that was written
@@ -76,6 +80,7 @@ class Findings:
             known = self.verdict is not None and self.verdict.assignable
             return "assignable" if known else "undecided"
         certified = self.certificate is not None and self.certificate.certified
+        certified = certified and (self.asked is None or self.asked.met)
         return (
             "certified"
             if certified and natural_loss(self.design) <= ACCEPTED_LOSS

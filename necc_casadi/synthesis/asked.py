@@ -1,14 +1,14 @@
 """What is asked of a response, and how far a design meets it: its slowest mode and its peak input.
 
-The rate is a constraint of the least-cost program (quadratic_cost.py). A peak is not: it is measured
-on simulated responses, and the weight of the inputs raised until they keep it. Where no weight does,
-the rate is lowered. What is not met is told with what stopped it.
+The rate is a constraint of the least-cost program (quadratic_cost.py). A peak is not: it is
+measured on simulated responses, and the weight of the inputs raised until they keep it. Where no
+weight does, the rate is lowered. What is not met is told with what stopped it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -24,7 +24,7 @@ __all__ = ["Answer", "Asked", "answer", "limits_of"]
 
 
 #: Factors of the inputs' weight that are tried for a peak, all of them and on the way to a rate.
-_PRICES, _FEW_PRICES = (4.0, 16.0, 64.0, 256.0), (16.0, 256.0)
+_PRICES, _FEW_PRICES = (4.0, 16.0, 64.0, 256.0), (1.0,)
 
 
 #: Rates that are tried where a peak does not allow the one that was asked for.
@@ -48,8 +48,14 @@ class Asked:
     limits: Vector | None  # (m, 2) of the inputs
     peaks: Vector | None  # (m, 2) least and greatest that the law asks for, from random starts
     stopped_by: Stop | None  # None: everything is met
+    held: Vector  # (m,) what holds the target
     mode: complex | None = None  # 1/s, of the plant, that stops it
     unlimited: float | None = None  # 1/s, rate that was reached without the peak
+
+    @property
+    def held_outside(self) -> bool:
+        """Whether no controller keeps the limits: holding the target takes more."""
+        return self.limits is not None and not _inside(self.held, self.limits)
 
     @property
     def met(self) -> bool:
@@ -177,6 +183,7 @@ class _Search:
             limits=limits_of(self.options, best.design),
             peaks=best.peaks,
             stopped_by=self._stop(best),
+            held=_holding(best.design),
             mode=None if mode is None else mode / self.time,
             unlimited=self.unlimited.rate if self.unlimited.overuse > 1 and rate else None,
         )
@@ -194,22 +201,27 @@ class _Search:
 def demanded(design: Design) -> Vector:
     """Least and greatest u that the law asks for from random starts, (m, 2)."""
     found = [
-        simulate(design, x0, points=_POINTS)
-        for x0 in random_states(design, _STARTS, design.seed)
+        simulate(design, x0, points=_POINTS) for x0 in random_states(design, _STARTS, design.seed)
     ]
     demands = [r.u if r.demand is None else r.demand for r in found]
-    low, high = (
-        np.array([pick(d, axis=0) for d in demands]) for pick in (np.nanmin, np.nanmax)
-    )
+    low, high = (np.array([pick(d, axis=0) for d in demands]) for pick in (np.nanmin, np.nanmax))
     return np.column_stack([low.min(axis=0), high.max(axis=0)])
+
+
+def _holding(design: Design) -> Vector:
+    n = design.loop.plant.n
+    return design.control(design.z_bar[:n], design.z_bar[n:])[0]
+
+
+def _inside(u: Vector, limits: Vector) -> bool:
+    return bool(np.all(limits[:, 0] <= u) and np.all(u <= limits[:, 1]))
 
 
 def _overuse(design: Design, peaks: Vector, limits: Vector) -> float:
     """Largest share of the room between what holds the target and a limit; ∞ without room."""
-    n = design.loop.plant.n
-    held = design.control(design.z_bar[:n], design.z_bar[n:])[0]
+    held = _holding(design)
     room, taken = np.abs(limits - held[:, None]), np.abs(peaks - held[:, None])
-    if np.any(limits[:, 0] > held) or np.any(limits[:, 1] < held):
+    if not _inside(held, limits):
         return np.inf
     with np.errstate(divide="ignore", invalid="ignore"):
         shares = np.where(taken > 0, taken / room, 0.0)

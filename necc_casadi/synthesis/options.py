@@ -12,6 +12,8 @@ from necc_casadi.cases import Activation, CasimirForm, InitialXi, PhiForm, Shape
 from necc_casadi.errors import OptionError
 from necc_casadi.lyapunov.networks import MonotonePhi, Network
 from necc_casadi.lyapunov.parameterization import Form
+from necc_casadi.model.cost import QuadraticCost, bryson
+from necc_casadi.model.sizes import Sizes
 
 __all__ = ["Level", "Options", "Regulariser", "check_options", "form_of", "paper_options"]
 
@@ -74,6 +76,14 @@ class Options:
         asked = (self.rate, self.peak_u, self.state_cost, self.input_cost)
         fixed = self.D is not None or self.Dc is not None or self.shaping is not None
         return (self.least_cost or any(v is not None for v in asked)) and not fixed
+
+    def cost(self, sizes: Sizes, n: int) -> QuadraticCost:
+        """The weights that were given, else Bryson's, for n plant states, in the model's units."""
+        default = bryson(sizes, n)
+        return QuadraticCost(
+            default.Q if self.state_cost is None else self.state_cost,
+            default.R if self.input_cost is None else self.input_cost,
+        )
 
     @property
     def shaping(self) -> Regulariser | Level | None:

@@ -15,8 +15,8 @@ With a rate α, A + αI stands in place of A in the Lyapunov equation: it has a 
 where every mode decays faster than α, and the cost is that of responses times exp(αt). LQR's cost
 and modes are those of the plant with the same shift.
 
-Without, 𝒟 + 𝒟ᵀ ≻ 0 makes every A Hurwitz that LaSalle's principle makes attract, so no constraint of
-stability is needed. The networks cost much to move: quadratic parts and damping carry the cost,
+Without, 𝒟 + 𝒟ᵀ ≻ 0 makes every A Hurwitz that LaSalle's principle makes attract, so no constraint
+of stability is needed. The networks cost much to move: quadratic parts and damping carry the cost,
 and V stays smooth away from z*.
 
 References
@@ -41,7 +41,7 @@ from necc_casadi.lyapunov.networks import Network
 from necc_casadi.synthesis.lifting import Lifting
 from necc_casadi.synthesis.programs import Program
 
-__all__ = ["LinearQuadratic", "Responsive", "least_cost"]
+__all__ = ["Begin", "LinearQuadratic", "Responsive", "coupled_damping", "least_cost"]
 
 
 #: Multiples of LQR's fastest mode that the loop may have.
@@ -54,6 +54,14 @@ _NEAR_THE_BOUND = 0.97
 
 #: Weight of the shape of V, and of staying where training ended.
 _SHAPE, _PROXIMITY = 1e-3, 1e-2
+
+
+#: Weight of a step away from where a solve begins.
+_STEP = 0.03
+
+
+#: Iterations of a solve that does not go far: one that succeeds takes far fewer.
+_NEARBY = 100
 
 
 #: How much more a weight of a network costs than one of a quadratic part.
@@ -93,6 +101,15 @@ class LinearQuadratic:
 
 
 @dataclass(frozen=True, eq=False)
+class Begin:
+    """Where a solve begins, other than where training ended."""
+
+    weights: Vector
+    xi_star: Vector
+    eta: Vector  # variables of the damping
+
+
+@dataclass(frozen=True, eq=False)
 class Responsive:
     """A V and a damping of least cost."""
 
@@ -117,8 +134,7 @@ def least_cost(
     damping: Vector,
     seed: int,
     verbose: bool = False,
-    begin: Responsive | None = None,
-    reached: float | None = None,
+    begin: Begin | None = None,
 ) -> Responsive | None:
     """V and 𝒟 of least cost, from a trained V and its damping; None where the loop has no cost.
 
@@ -141,27 +157,26 @@ def least_cost(
     verbose
         Print IPOPT's iterations.
     begin
-        An earlier solution to begin with; by default what training ended with.
-    reached
-        A rate below the slowest mode of where to begin; by default that of the aim.
+        What to begin with, and not to leave by far; by default what training ended with.
     """
     loop = _Loop(lifting, aim, damping)
     at = (weights, xi_star) if begin is None else (begin.weights, begin.xi_star)
     small = lifting.jets_at(*at)
     eta = np.zeros(loop.eta.numel()) if begin is None else begin.eta
-    P = loop.cost_matrix(small, eta, reached)
+    first = (at[0] - lifting.tau) / lifting.sigma
+    P = loop.cost_matrix(small, eta)
     if P is None:
         return None
     w_hat = (weights - lifting.tau) / lifting.sigma
-    nlp = _Nlp(lifting, program, loop, w_hat, xi_star, kappa_min, verbose)
+    step = None if begin is None else (eta, first)
+    nlp = _Nlp(lifting, program, loop, w_hat, xi_star, kappa_min, verbose, step)
     began = time.perf_counter()
     L = np.asarray(np.linalg.cholesky(P), float)
-    first = w_hat if begin is None else (begin.weights - lifting.tau) / lifting.sigma
     solution, objective = nlp.solve(small, eta, L, first)
     seconds = time.perf_counter() - began
     found = lifting.sigma * solution.w_hat + lifting.tau
     xi = solution.small[: lifting.terms.nc]
-    made = np.asarray(loop.damping_of(solution.eta), float)
+    made = _readable(np.asarray(loop.damping_of(solution.eta), float))
     stats = nlp.solver.stats()
     start = Start(
         seed=seed,
@@ -175,11 +190,21 @@ def least_cost(
     after = loop.cost_matrix(solution.small, solution.eta)
     if after is None:
         return None
-    rounded = np.array([[float(f"{v:.3g}") for v in row] for row in made])
-    kept = rounded if dissipates(rounded) else made
     near = loop.near_the_bound(solution.small, solution.eta)
     ratios = loop.relative(P), loop.relative(after)
-    return Responsive(found, xi, kept, solution.eta, start, *ratios, near)
+    return Responsive(found, xi, made, solution.eta, start, *ratios, near)
+
+
+def coupled_damping(trained: Vector, eta: Vector) -> Vector:
+    """𝒟 of its variables η beside the damping of training, 2m × 2m."""
+    symbols, D = _damping(trained)
+    return _readable(np.asarray(ca.Function("damping", [symbols], [D])(eta), float))
+
+
+def _readable(damping: Vector) -> Vector:
+    """Three digits of each entry, where that still dissipates."""
+    rounded = np.array([[float(f"{v:.3g}") for v in row] for row in damping])
+    return rounded if dissipates(rounded) else damping
 
 
 class _Loop:
@@ -207,12 +232,10 @@ class _Loop:
         self._matrices = ca.Function("loop", [lifting.small, self.eta], [self.A, self.W])
         self.damping_of = ca.Function("damping", [self.eta], [D])
 
-    def cost_matrix(
-        self, small: Vector, eta: Vector, rate: float | None = None
-    ) -> Vector | None:
+    def cost_matrix(self, small: Vector, eta: Vector) -> Vector | None:
         """P of the Lyapunov equation, (N, N); None where the loop does not decay at the rate."""
         A, W = (np.asarray(v, float) for v in self._matrices.call([small, eta]))
-        A = A + (self.aim.rate if rate is None else rate) * np.eye(len(A))
+        A = A + self.aim.rate * np.eye(len(A))
         if not np.isfinite(A).all() or np.linalg.eigvals(A).real.max() >= 0:
             return None
         P = scipy.linalg.solve_continuous_lyapunov(A.T, -W)
@@ -281,6 +304,7 @@ class _Nlp:
         xi_star: Vector,
         kappa_min: float,
         verbose: bool,
+        step: tuple[Vector, Vector] | None,
     ) -> None:
         self.lifting, self.program, self.loop = lifting, program, loop
         size = len(loop.size)
@@ -296,12 +320,17 @@ class _Nlp:
         nc = lifting.terms.nc
         away = ca.sumsqr((s[:nc] - ca.DM(xi_star)) / ca.DM(loop.size[-nc:]))
         objective = objective + (_PROXIMITY * (moved + away) + _DAMPING * ca.sumsqr(eta)) / 2
+        if step is not None:  # not so far that A becomes unstable
+            far = ca.sumsqr(eta - ca.DM(step[0]))
+            far += ca.dot(ca.DM(self._weight_cost()), (w - ca.DM(step[1])) ** 2)
+            objective = objective + _STEP * far / 2
         g = ca.vertcat(lifting.residuals(weights, s), equal, speed)
         self.upper = np.zeros(g.numel())
         self.lower = np.zeros(g.numel())
         self.lower[-1] = -np.inf
         self.bounds = self._bounds(kappa_min)
         options = _IPOPT | ({"ipopt.print_level": 5} if verbose else {})
+        options |= {} if step is None else {"ipopt.max_iter": _NEARBY}
         problem = {"x": ca.vertcat(s, e, eta, p, w), "f": objective, "g": g}
         self.solver = ca.nlpsol("least_cost", "ipopt", problem, options)
 

@@ -2,31 +2,55 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from necc_casadi.arrays import Vector
+from necc_casadi.lyapunov.networks import Network
 from necc_casadi.lyapunov.opened_loop import plant_linearisation
-from necc_casadi.model.cost import QuadraticCost, bryson
+from necc_casadi.model.cost import QuadraticCost
 from necc_casadi.model.domain import domain_of
 from necc_casadi.performance.lqr import lqr
 from necc_casadi.synthesis.lifting import Lifting
 from necc_casadi.synthesis.options import Options
 from necc_casadi.synthesis.plan import Plan
 from necc_casadi.synthesis.programs import Program, hard_program
-from necc_casadi.synthesis.quadratic_cost import LinearQuadratic, Responsive, least_cost
+from necc_casadi.synthesis.quadratic_cost import (
+    Begin,
+    LinearQuadratic,
+    Responsive,
+    coupled_damping,
+    least_cost,
+)
 from necc_casadi.synthesis.training import SOLVED, Solution
 
-__all__ = ["LeastCost", "Reached", "asked_cost", "is_plain"]
+__all__ = ["LeastCost", "Reached", "is_plain"]
 
 
-#: Solves on the way to a rate; factor to the next rate at first; below it the way has ended.
-_MOST_SOLVES, _PACE, _NO_PACE = 12, 2.0, 1.03
+#: Solves on the way to a rate at most, and what counts as a step of it.
+_MOST_SOLVES, _FASTER = 25, 1.02
 
 
-#: The Lyapunov equation of where a solve begins is shifted by this share of its slowest mode.
-_WITHIN = 0.9
+#: Factors of the stiffness of each quadratic part, and of the damping of each port, that are tried.
+_STIFFER, _DAMPED = 2.0 ** np.arange(9), 2.0 ** np.arange(-4, 5)
+
+
+#: Shares of the rate by which the last solve is shifted, in order.
+_LESS = (1.0, 0.6, 0.0)
+
+
+#: A loop is to exceed a rate by this factor before its cost is lowered.
+_ROOM = 1.15
+
+
+#: On the way to a rate the loop may be as fast as LQR is at this multiple of the present one.
+_AHEAD = 2.0
+
+
+#: Shares of the rate of the slowest mode by which the next solve is shifted, in order.
+_SHARES = (0.9, 0.7, 0.97)
 
 
 #: Share of the rate of a mode that no input moves which the others are asked for.
@@ -42,15 +66,6 @@ def is_plain(plan: Plan, options: Options) -> bool:
     return plan.form.phi is None and not plan.form.betas and not options.learn_casimir
 
 
-def asked_cost(plan: Plan, options: Options) -> QuadraticCost:
-    """The weights of the model file, else Bryson's, in the units of the model."""
-    default = bryson(plan.sizes, plan.terms.n)
-    return QuadraticCost(
-        default.Q if options.state_cost is None else options.state_cost,
-        default.R if options.input_cost is None else options.input_cost,
-    )
-
-
 @dataclass(frozen=True, eq=False)
 class Reached:
     """The fastest loop on the way to a rate; rates in training units."""
@@ -60,12 +75,14 @@ class Reached:
     unmoved: complex | None = None  # a mode of the plant that no input moves and that is too slow
 
 
+def _of(found: Responsive) -> Begin:
+    return Begin(found.weights, found.xi_star, found.eta)
+
+
 class LeastCost:
     """Solutions of the least-cost program from one trained V, for any rate and price of inputs."""
 
-    def __init__(
-        self, plan: Plan, options: Options, solution: Solution, damping: Vector
-    ) -> None:
+    def __init__(self, plan: Plan, options: Options, solution: Solution, damping: Vector) -> None:
         self.plan, self.options, self.solution, self.damping = plan, options, solution, damping
         terms = plan.terms
         self.lifting = Lifting(terms, plan.form, plan.x, plan.scales, plan.anchor.xi)
@@ -94,27 +111,105 @@ class LeastCost:
         first = self._solved(0.0, price, None)
         if first is not None and first.after >= first.before and rate == 0:
             first = None
-        if rate == 0 or self._rate(first) >= rate:
+        now = self._begin if first is None else _of(first)
+        if rate == 0 or self._rate(now) >= rate:
             return Reached(first)
-        return self._on_the_way(rate, price, first)
+        return self._faster(rate, price, now)
 
-    def _on_the_way(self, rate: float, price: float, best: Responsive | None) -> Reached:
-        """Continuation in the rate: as far at once as the last solution allows."""
-        pace, bound = _PACE, False
+    @property
+    def _begin(self) -> Begin:
+        m = self.plan.terms.m
+        eta = np.zeros(2 * m + 2 * m * (2 * m - 1))
+        return Begin(self.solution.weights, self.solution.xi_star, eta)
+
+    def _faster(self, rate: float, price: float, now: Begin) -> Reached:
+        """From a loop that is stiff enough for the rate, or the fastest such one, to less cost.
+
+        A solve is shifted by less than the rate of where it begins, so that P exists there; it
+        makes the next one faster.
+        """
+        begin = self._stiffened(now, rate)
+        found, bound, shares = None, False, list(_SHARES)
         for _ in range(_MOST_SOLVES):
-            reached = self._rate(best)
-            if reached >= rate or pace < _NO_PACE or reached <= 0:
+            reached = self._rate(begin)
+            if reached >= rate or not shares or reached <= 0:
                 break
-            found = self._solved(min(rate, pace * reached), price, best)
-            if found is None or self._rate(found) <= reached:
-                pace = 1 + (pace - 1) / 2
+            solved = self._solved(shares[0] * reached, price, begin, min(rate, _AHEAD * reached))
+            if solved is None or self._rate(_of(solved)) < _FASTER * reached:
+                shares.pop(0)
                 continue
-            best, bound = found, found.at_the_bound
-        return Reached(best, bound)
+            found, bound, shares = solved, solved.at_the_bound, list(_SHARES)
+            begin = _of(solved)
+        if self._rate(begin) >= rate:
+            found, bound = self._cheaper(rate, price, begin) or found, False
+        return Reached(self._as_it_is(begin) if found is None else found, bound)
 
-    def _solved(self, rate: float, price: float, start: Responsive | None) -> Responsive | None:
-        """One solve, from the trained V or an earlier solution; None where it falls short."""
-        aim = self._aim(rate, price)
+    def _cheaper(self, rate: float, price: float, begin: Begin) -> Responsive | None:
+        """Less cost at the rate; where that shift is too much for IPOPT, at less of it."""
+        for share in _LESS:
+            solved = self._solved(share * rate, price, begin, rate)
+            if solved is not None and self._rate(_of(solved)) >= rate:
+                return solved
+        return None
+
+    def _as_it_is(self, begin: Begin) -> Responsive:
+        """Where a solve began, for want of a better loop."""
+        weights, xi_star = begin.weights, begin.xi_star
+        start = replace(
+            self.solution.starts[-1],
+            mode="cost",
+            loss=self.lifting.loss(weights, xi_star, self.plan.curvature),
+        )
+        damping = coupled_damping(self.damping, begin.eta)
+        return Responsive(weights, xi_star, damping, begin.eta, start, np.inf, np.inf, False)
+
+    def _stiffened(self, now: Begin, rate: float) -> Begin:
+        """Stiffer quadratic parts and another damping: the least that exceeds the rate.
+
+        The centres move so that the slopes at z*, and so ∇V(z*), stay as they are.
+        """
+        pairs = [(hc, k) for hc in _STIFFER for k in _STIFFER]
+        factors = [(d, dc) for d in _DAMPED for dc in _DAMPED]
+        best, most = now, (self._rate(now), 0.0)
+        for hc, k in pairs:
+            stiff = self._with_stiffness(now, hc, k)
+            for (d, dc), reached in zip(factors, self._rates(stiff, factors), strict=True):
+                effort = float(np.abs(np.log([hc, k, d, dc])).sum())
+                worth = (min(reached, _ROOM * rate), -effort)
+                if worth > most:
+                    best, most = replace(stiff, eta=self._scaled_eta(now.eta, d, dc)), worth
+        return best
+
+    def _with_stiffness(self, now: Begin, hc: float, k: float) -> Begin:
+        lifting, weights = self.lifting, now.weights.copy()
+        bases = lifting.bases.call([lifting.jets_at(weights, now.xi_star)])
+        parts = lifting.form.split(weights)
+        for network, part, base, factor in zip(
+            lifting.form.networks, parts, bases, (hc, k), strict=True
+        ):
+            if isinstance(network, Network) and network.quadratic:
+                d, v = network.inputs, np.asarray(base, float).ravel()
+                part[-d:] = v - (v - part[-d:]) / factor
+                part[-2 * d : -d] *= factor
+        return replace(now, weights=np.concatenate(parts))
+
+    def _scaled_eta(self, eta: Vector, d: float, dc: float) -> Vector:
+        """η of 𝒟 with its ports scaled: entries by √(d d), √(d dc) or √(dc dc)."""
+        m = self.plan.terms.m
+        port = np.repeat([d, dc], m)
+        below = [(i, j) for i in range(2 * m) for j in range(i)]
+        rows = np.sqrt([port[i] for i, _ in below])
+        both = np.sqrt([port[i] * port[j] for i, j in below])
+        return np.asarray(
+            eta * np.concatenate([np.ones(2 * m), rows, both])
+            + np.concatenate([np.log(port), np.zeros(2 * len(below))])
+        )
+
+    def _solved(
+        self, rate: float, price: float, begin: Begin | None, wanted: float = 0.0
+    ) -> Responsive | None:
+        """One solve on the way to a rate, from the trained V or elsewhere; None: it fell short."""
+        aim = self._aim(rate, price, wanted)
         if aim is None or self.program is None:
             return None
         found = least_cost(
@@ -128,27 +223,26 @@ class LeastCost:
             self.damping,
             self.solution.starts[-1].seed,
             self.options.verbose,
-            begin=start,
-            reached=min(rate, _WITHIN * max(0.0, self._rate(start))),
+            begin=begin,
         )
         return None if found is None or found.start.loss > SOLVED else found
 
-    def _state(self, found: Responsive | None) -> tuple[Vector, Vector, Vector]:
-        if found is None:
-            return self.solution.weights, self.solution.xi_star, self.damping
-        return found.weights, found.xi_star, found.damping
-
-    def _rate(self, found: Responsive | None) -> float:
+    def _rate(self, at: Begin) -> float:
         """Of the slowest mode at z*, in training units."""
-        weights, xi_star, damping = self._state(found)
-        small = self.lifting.jets_at(weights, xi_star)
-        _, N = self.lifting.at(small)
-        terms, z = self.plan.terms, np.concatenate([self.plan.x, xi_star])
+        return self._rates(at, [(1.0, 1.0)])[0]
+
+    def _rates(self, at: Begin, factors: Sequence[tuple[float, float]]) -> list[float]:
+        """The same for many dampings, whose ports are scaled by (d, dc)."""
+        _, N = self.lifting.at(self.lifting.jets_at(at.weights, at.xi_star))
+        terms, z = self.plan.terms, np.concatenate([self.plan.x, at.xi_star])
         n, m = terms.n, terms.m
         ports = np.zeros((len(z), 2 * m))
         ports[:n, :m], ports[n:, m:] = terms.G(z[:n]), terms.Gc(z[n:])
-        M = np.asarray(terms.M(z), float)
-        return float(-np.linalg.eigvals((M - ports @ damping @ ports.T) @ N).real.max())
+        damping = coupled_damping(self.damping, at.eta)
+        root = np.sqrt(np.repeat(np.array(factors), m, axis=1))
+        many = ports @ (damping * root[:, :, None] * root[:, None, :]) @ ports.T
+        slowest = np.linalg.eigvals((np.asarray(terms.M(z), float) - many) @ N).real.max(axis=-1)
+        return [float(-s) for s in slowest]
 
     def _unmoved(self, rate: float) -> complex | None:
         """The slowest mode of the plant that no input moves, where it is slower than the rate.
@@ -169,13 +263,17 @@ class LeastCost:
         ]
         return max(lost, key=lambda s: s.real, default=None)
 
-    def _aim(self, rate: float, price: float) -> LinearQuadratic | None:
-        """The cost and what LQR makes of it, in training units."""
+    def _aim(self, rate: float, price: float, wanted: float) -> LinearQuadratic | None:
+        """The cost at a rate, and what LQR makes of it, in training units.
+
+        The loop may be as fast as LQR's is at the rate that is wanted in the end.
+        """
         plan, n = self.plan, self.plan.terms.n
-        asked = asked_cost(plan, self.options)
+        asked = self.options.cost(plan.sizes, n)
         cost = QuadraticCost(asked.Q, price * asked.R).measured_in(plan.units)
         linear = lqr(self.A + rate * np.eye(n), self.B, cost)
-        if linear is None:
+        final = lqr(self.A + wanted * np.eye(n), self.B, cost) or linear
+        if linear is None or final is None:
             return None
         z = np.concatenate([plan.x, self.solution.xi_star])
         box = domain_of(plan.loop, z, plan.natural.state)
@@ -185,6 +283,6 @@ class LeastCost:
             R=cost.R,
             starts=starts,
             lqr_cost=float(np.trace(linear.P @ starts)),
-            fastest=float(np.abs(linear.spectrum - rate).max()),
+            fastest=float(np.abs(final.spectrum - wanted).max()),
             rate=rate,
         )

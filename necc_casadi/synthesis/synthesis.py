@@ -24,7 +24,7 @@ from necc_casadi.synthesis.learned_casimir import casimir_residual
 from necc_casadi.synthesis.options import Options
 from necc_casadi.synthesis.plan import Plan, make_plan
 from necc_casadi.synthesis.quadratic_cost import Responsive
-from necc_casadi.synthesis.responsive import LeastCost, asked_cost
+from necc_casadi.synthesis.responsive import LeastCost
 from necc_casadi.synthesis.training import Solution, train
 from necc_casadi.verdict.verdict import Verdict
 
@@ -120,7 +120,7 @@ def _started(found: Answer, plan: Plan, options: Options) -> Design:
     made = found.design
     if options.initial_xi is not None:
         return replace(made, initial_xi=options.initial_xi)
-    better = with_better_start(made, asked_cost(plan, options))
+    better = with_better_start(made, options.cost(plan.sizes, plan.terms.n))
     changed = better.initial_xi != made.initial_xi
     return made if not changed or (found.asked and found.asked.limits is not None) else better
 
