@@ -15,6 +15,7 @@ from necc_casadi.certificate.claims.regions import Obstacle, Region
 from necc_casadi.certificate.prover.region.landscape import Landscape
 from necc_casadi.certificate.prover.region.obstacle import search
 from necc_casadi.designs.design import Design
+from necc_casadi.report.ticks import finished
 
 __all__ = ["landscape_figure"]
 
@@ -111,10 +112,9 @@ class _Picture:
         heights = np.array([w for _, w in kept]) * self.design.units.energy
         return places, heights - self.design.V(self.design.z_bar)
 
-    def _label(self, k: int) -> str:
+    def _named(self, k: int) -> tuple[str, str]:
         name = self.design.loop.states[self._states[k]]
-        unit = self.design.loop.plant.units.get(name)
-        return f"{name} [{unit}]" if unit else name
+        return name, self.design.loop.plant.units.get(name, "")
 
     @property
     def _proved(self) -> str:
@@ -148,8 +148,7 @@ class _Picture:
         shown = w[np.isfinite(w)]
         axis.set_ylim(min(-0.05 * top, float(shown.min(initial=0.0)) * 1.05), top)
         axis.set_xlim(lo[0], hi[0])
-        axis.set_xlabel(self._label(0))
-        axis.set_ylabel("min V − V(z̄)")
+        finished(axis, [("x", *self._named(0)), ("y", "min V − V(z̄)", "")])
         axis.grid(alpha=0.25)
 
     def plane(self, axis: Axes) -> None:
@@ -176,7 +175,6 @@ class _Picture:
         places, _ = self._others
         if len(places):
             axis.plot(*places.T, "x", ms=8, mew=2, color=_OTHER, label="other minimum")
-        axis.set_xlabel(self._label(0))
-        axis.set_ylabel(self._label(1))
         axis.set_xlim(lo[0], hi[0])
         axis.set_ylim(lo[1], hi[1])
+        finished(axis, [("x", *self._named(0)), ("y", *self._named(1))])

@@ -208,7 +208,9 @@ def _lowest(design: Design, points: Vector, rest: list[int]) -> Vector:
     values = V.V(points.T)
     for _ in range(_NEWTON if rest else 0):
         g = V.gradient(points.T)[:, rest]
-        bends, axes = np.linalg.eigh(V.hessian(points.T)[:, rest][:, :, rest])
+        hessian = V.hessian(points.T)[:, rest][:, :, rest]
+        defined = np.isfinite(hessian).all(axis=(1, 2), keepdims=True)  # none at a pole
+        bends, axes = np.linalg.eigh(np.where(defined, hessian, np.eye(len(rest))))
         bends = np.maximum(np.abs(bends), 1e-6)  # downhill where V is not convex, too
         move = -np.einsum("bij,bj->bi", axes, np.einsum("bji,bj->bi", axes, g) / bends)
         size = np.ones(count)

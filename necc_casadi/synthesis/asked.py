@@ -24,7 +24,7 @@ __all__ = ["Answer", "Asked", "answer", "limits_of"]
 
 
 #: Factors of the inputs' weight that are tried for a peak, all of them and on the way to a rate.
-_PRICES, _FEW_PRICES = (4.0, 16.0, 64.0, 256.0), (1.0,)
+_PRICES, _FEW_PRICES = (2.0, 4.0, 8.0, 16.0, 64.0, 256.0), (1.0,)
 
 
 #: Rates that are tried where a peak does not allow the one that was asked for.
