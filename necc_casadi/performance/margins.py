@@ -20,7 +20,7 @@ from scipy.optimize import brentq, minimize_scalar
 
 from necc_casadi.arrays import Vector
 
-__all__ = ["Margins", "margins"]
+__all__ = ["Margins", "Sweep", "margins", "one_input"]
 
 
 #: Decades beyond the slowest and the fastest mode that are swept, and points in each of them.
@@ -71,6 +71,21 @@ def margins(A: Vector, B: Vector, C: Vector) -> Margins:
         delay=min(single[3] for single in singles),
         disk=_disk(A, B, C, frequencies),
     )
+
+
+@dataclass(frozen=True, eq=False)
+class Sweep:
+    """L(jω) of a scalar loop."""
+
+    w: Vector  # (points,) rad/s
+    L: _Complex  # (points,)
+
+
+def one_input(A: Vector, B: Vector, C: Vector, i: int) -> Sweep:
+    """The loop opened at input i, the others closed, around its modes."""
+    loop = _one_loop(A, B, C, i)
+    w = _sweep(A, A - B @ C)
+    return Sweep(w, np.asarray(_response(*loop, w)[:, 0, 0]))
 
 
 def _one_loop(A: Vector, B: Vector, C: Vector, i: int) -> tuple[Vector, Vector, Vector]:

@@ -17,12 +17,21 @@ from necc_casadi.performance.closed_loop_cost import (
     lqr_feedback,
     responses,
 )
-from necc_casadi.performance.margins import Margins, margins
+from necc_casadi.performance.margins import Margins, Sweep, margins, one_input
 from necc_casadi.performance.optimum import Optimal, optimal_responses
 from necc_casadi.performance.plant_model import PlantModel, plant_model
 from necc_casadi.performance.steady_error import disturbed_error, perturbed_error
 
-__all__ = ["Curve", "Errors", "Performance", "Rating", "horizon_of", "measure", "random_starts"]
+__all__ = [
+    "Curve",
+    "Errors",
+    "Loop",
+    "Performance",
+    "Rating",
+    "horizon_of",
+    "measure",
+    "random_starts",
+]
 
 
 #: Modes that decay more slowly than this share of the fastest are not waited for.
@@ -65,6 +74,15 @@ class Curve:
 
 
 @dataclass(frozen=True, eq=False)
+class Loop:
+    """One loop, opened at each input in turn; frequencies in the model's unit of time."""
+
+    name: str
+    inputs: tuple[Sweep, ...]  # (m,)
+    margins: Margins
+
+
+@dataclass(frozen=True, eq=False)
 class Errors:
     """|x − x*| at rest, (n,) each, in the units of the model; None: it does not stay at rest."""
 
@@ -83,6 +101,7 @@ class Performance:
     errors: Errors
     starts: int
     step: tuple[Curve, ...] = field(default=(), repr=False)  # from one size below the target
+    loops: tuple[Loop, ...] = field(default=(), repr=False)
 
 
 def random_starts(design: Design, count: int, seed: int) -> list[Vector]:
@@ -130,15 +149,18 @@ def measure(
     least = None
     if optimum and linear is not None:
         least = _as_responses(optimal_responses(plant, natural_starts, known), ours)
+    mine, lqr_loop = _loop(design), _lqr_loop(design, plant)
+    lqr_margins = None if lqr_loop is None else lqr_loop.margins
     shown = {"this design": ours, "LQR": theirs, "optimum": least}
     return Performance(
-        design=_rating(design, ours, least, _margins(design)),
-        lqr=None if theirs is None else _rating(design, theirs, least, _lqr_margins(design, plant)),
+        design=_rating(design, ours, least, None if mine is None else mine.margins),
+        lqr=None if theirs is None else _rating(design, theirs, least, lqr_margins),
         optimum=None if least is None else _rating(design, least, least, None),
         cost_to_lqr=None if theirs is None else _mean_ratio(ours.cost[:-1], theirs.cost[:-1]),
         errors=_errors(design, others or {}),
         starts=len(starts),
         step=tuple(_curve(n, r, design) for n, r in shown.items() if r is not None),
+        loops=tuple(loop for loop in (mine, lqr_loop) if loop is not None),
     )
 
 
@@ -210,17 +232,23 @@ def _errors(design: Design, others: Mapping[str, ClosedLoop]) -> Errors:
     )
 
 
-def _margins(design: Design) -> Margins | None:
+def _loop(design: Design) -> Loop | None:
+    """Of a design that is stable at z̄."""
     A, B, C, _ = design.loop_transfer()
-    return margins(A, B, C) if design.spectrum.real.max() < 0 else None
+    return _opened("this design", A, B, C) if design.spectrum.real.max() < 0 else None
 
 
-def _lqr_margins(design: Design, plant: PlantModel) -> Margins | None:
+def _lqr_loop(design: Design, plant: PlantModel) -> Loop | None:
     linear = plant.linear
-    if linear is None:
+    if linear is None:  # L is the same in natural units of states and inputs, but not of time
         return None
-    found = margins(linear.A, linear.B, linear.K)  # all but the delay have no unit
-    return replace(found, delay=found.delay * design.units.time)
+    time = design.units.time
+    return _opened("LQR", linear.A / time, linear.B / time, linear.K)
+
+
+def _opened(name: str, A: Vector, B: Vector, C: Vector) -> Loop:
+    inputs = tuple(one_input(A, B, C, i) for i in range(B.shape[1]))
+    return Loop(name, inputs, margins(A, B, C))
 
 
 def horizon_of(design: Design, plant: PlantModel) -> float:

@@ -47,6 +47,7 @@ from necc_casadi.pipeline.request import (
     with_structure,
 )
 from necc_casadi.pipeline.sweep import sweep_a
+from necc_casadi.report.comparison_figures import frequency_figure, step_figure
 from necc_casadi.report.figures import (
     lyapunov_figure,
     region_boundary,
@@ -121,7 +122,7 @@ def _made(request: Request, task: _Task, found: Findings, folder: Path, clock: C
     export = _exported(request, made, certificate, folder, clock)
     sweep = () if request.sweep_a is None else _swept(request.sweep_a, task, clock)
     performance = _compared(request, task, made, clock) if request.compare else None
-    drawn = _drawn(request, made, certificate, motion.responses, sweep, folder, clock)
+    drawn = _drawn(request, made, certificate, motion.responses, sweep, performance, folder, clock)
     return replace(
         found,
         design=made,
@@ -312,6 +313,7 @@ def _drawn(
     certificate: Certificate,
     responses: Sequence[Trajectory],
     sweep: Sequence[SweepPoint],
+    performance: Performance | None,
     out: Path,
     clock: Clock,
 ) -> list[Path]:
@@ -330,6 +332,12 @@ def _drawn(
         landscape = landscape_figure(made, certificate)
         if landscape is not None:
             figures["landscape"] = landscape
+        if performance is not None:
+            compared = {
+                "step": step_figure(made, performance),
+                "loop": frequency_figure(made, performance),
+            }
+            figures |= {name: figure for name, figure in compared.items() if figure is not None}
         if sweep:
             figures["sweep"] = sweep_figure(made, sweep)
         folder = out / "figures"

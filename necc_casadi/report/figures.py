@@ -27,6 +27,7 @@ __all__ = [
     "draw_limits",
     "lyapunov_figure",
     "named_input",
+    "named_state",
     "region_boundary",
     "region_figure",
     "responses_figure",
@@ -65,7 +66,7 @@ def write_figure(figure: Figure, path: Path, dpi: int = 120) -> Path:
     return write_text(path, buffer.getvalue())
 
 
-def _named(design: Design, index: int) -> tuple[str, str]:
+def named_state(design: Design, index: int) -> tuple[str, str]:
     """Name and unit of a state."""
     name = design.loop.states[index]
     return name, design.loop.plant.units.get(name, "")
@@ -82,13 +83,18 @@ def lyapunov_figure(design: Design) -> Figure:
     surface = figure.add_subplot(1, 2, 1, projection="3d")
     shown = _without_poles(values)
     surface.plot_surface(A, B, shown, cmap="viridis", linewidth=0, alpha=0.9, rcount=40, ccount=40)
-    finished(surface, [("x", *_named(design, i)), ("y", *_named(design, j)), ("z", "V − V(z̄)", "")])
+    finished(
+        surface,
+        [("x", *named_state(design, i)), ("y", *named_state(design, j)), ("z", "V − V(z̄)", "")],
+    )
+    surface.yaxis.labelpad = 8
     surface.view_init(elev=28, azim=-60)
 
     flat = figure.add_subplot(1, 2, 2)
-    lines = flat.contour(A, B, values, levels=_levels(values), cmap="viridis")
-    labelled = _levels(values)[2::2]  # apart from the marks
-    flat.clabel(lines, levels=labelled, fontsize=7, fmt="%.2g")
+    lines = flat.contour(A, B, shown, levels=_levels(values), cmap="viridis")
+    if np.isfinite(shown).all():  # beside a pole, numbers would stand on one another
+        labelled = _levels(values)[2::2]  # apart from the marks
+        flat.clabel(lines, levels=labelled, fontsize=7, fmt=lambda v: engineering(v, digits=2))
     _mark_minima(design, flat, i, j)
     figure.legend(*flat.get_legend_handles_labels(), loc="outside lower right", ncols=2, fontsize=8)
     flat.set_title("contours of V − V(z̄)", fontsize=10)
@@ -100,7 +106,7 @@ def _mark_minima(design: Design, axis: Axes, i: int, j: int) -> None:
     star, bar = design.z_star, design.z_bar
     axis.plot(star[i], star[j], "o", ms=11, mfc="none", mew=2, color=_TARGET, label="target z*")
     axis.plot(bar[i], bar[j], "+", ms=11, mew=2, color=_MINIMUM, label="minimum z̄ of V")
-    finished(axis, [("x", *_named(design, i)), ("y", *_named(design, j))])
+    finished(axis, [("x", *named_state(design, i)), ("y", *named_state(design, j))])
 
 
 def region_boundary(
@@ -157,14 +163,15 @@ def region_figure(
     A, B, values = slice_values(design, window)
     figure = Figure(figsize=(6.4, 5.6), layout="constrained")
     axis = figure.add_subplot()
-    axis.contour(A, B, values, levels=_levels(values), cmap="viridis", linewidths=0.7, alpha=0.6)
+    shown, levels = _without_poles(values), _levels(values)
+    axis.contour(A, B, shown, levels=levels, cmap="viridis", linewidths=0.7, alpha=0.6)
     axis.fill(*edge.T, color=_MINIMUM, alpha=0.10, label="Ω seen over all other states (computed)")
     axis.plot(*np.vstack([edge, edge[:1]]).T, "--", color=_MINIMUM, lw=1)
     curve = slice_boundary(design, level, window)
     if curve is not None:
         axis.fill(*curve.T, color=_MINIMUM, alpha=0.15)
         top = level - design.V(design.z_bar)
-        proved = f"proved: V − V(z̄) ≤ {top:.3g}, other states at z*"
+        proved = f"proved: V − V(z̄) ≤ {engineering(top)}, other states at z*"
         axis.plot(*curve.T, color=_MINIMUM, lw=2, label=proved)
     for index, response in enumerate(responses):
         label = f"simulated from that boundary{_leaving(responses)}" if index == 0 else None
@@ -173,7 +180,7 @@ def region_figure(
     _mark_minima(design, axis, i, j)
     axis.set_xlim(window.lo[0], window.hi[0])
     axis.set_ylim(window.lo[1], window.hi[1])
-    finished(axis, [("x", *_named(design, i)), ("y", *_named(design, j))])
+    finished(axis, [("x", *named_state(design, i)), ("y", *named_state(design, j))])
     figure.legend(loc="outside lower center", ncols=2, fontsize=8)
     title = f"{design.loop.plant.name}: proved region Ω"
     axis.set_title(f"{title}\ndomain: {_extent(design)}", fontsize=10)  # Ω may be a small part
@@ -220,7 +227,7 @@ def _without_poles(values: Vector) -> Vector:
 def responses_figure(design: Design, trajectories: Sequence[Trajectory]) -> Figure:
     """Every state and input over time, targets dashed, and V along the responses."""
     shown = _telling_states(design, trajectories)
-    names = [_named(design, k) for k in shown]
+    names = [named_state(design, k) for k in shown]
     inputs = min(design.loop.plant.m, _MOST_PANELS)
     panels = len(names) + inputs + 1
     columns = min((3, 4), key=lambda number: -panels % number)  # the fewest gaps

@@ -15,7 +15,7 @@ from necc_casadi.certificate.claims.regions import Obstacle, Region
 from necc_casadi.certificate.prover.region.landscape import Landscape
 from necc_casadi.certificate.prover.region.obstacle import search
 from necc_casadi.designs.design import Design
-from necc_casadi.report.ticks import finished
+from necc_casadi.report.ticks import engineering, finished
 
 __all__ = ["landscape_figure"]
 
@@ -118,12 +118,12 @@ class _Picture:
 
     @property
     def _proved(self) -> str:
-        return f"proved up to V − V(z̄) = {self.height:.3g}"
+        return f"proved up to V − V(z̄) = {engineering(self.height)}"
 
     @property
     def _met(self) -> str:
         kind = self.obstacle.kind.replace("_", " ")
-        return f"obstacle: {kind}, {self.obstacle.level_above_minimum:.4g}"
+        return f"obstacle: {kind}, {engineering(self.obstacle.level_above_minimum, digits=4)}"
 
     def curve(self, axis: Axes) -> None:
         """W over one state."""
@@ -146,7 +146,8 @@ class _Picture:
             axis.plot(places[:, 0], heights, "x", ms=8, mew=2, color=_OTHER, label="other minimum")
         top = (1 + _ABOVE) * self.obstacle.level_above_minimum
         shown = w[np.isfinite(w)]
-        axis.set_ylim(min(-0.05 * top, float(shown.min(initial=0.0)) * 1.05), top)
+        lowest = max(float(shown.min(initial=0.0)) * 1.05, -top)  # not down a pole
+        axis.set_ylim(min(-0.05 * top, lowest), top)
         axis.set_xlim(lo[0], hi[0])
         finished(axis, [("x", *self._named(0)), ("y", "min V − V(z̄)", "")])
         axis.grid(alpha=0.25)

@@ -1,9 +1,10 @@
-"""Axes that read like a data sheet: a power of a thousand beside the unit, short numbers on ticks."""
+"""Axes that read like a data sheet: powers of a thousand beside the unit, short ticks."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import Any
 
 from matplotlib.axes import Axes
@@ -57,10 +58,10 @@ def scaled_label(label: str, unit: str, power: int) -> str:
     return f"{label} [{factor} {unit}]" if unit else f"{label} [{factor}]"
 
 
-def engineering(value: float, unit: str = "") -> str:
+def engineering(value: float, unit: str = "", digits: int = 3) -> str:
     """A number with its unit: ``3 µm``, ``1.19·10⁸ kg m/s``."""
     power = _power(abs(value))
-    number = f"{value / 10.0**power:.3g}"
+    number = f"{value / 10.0**power:.{digits}g}".replace("-", "−")
     if power == 0:
         return f"{number} {unit}".rstrip()
     if unit in _TAKES_PREFIX and power in _PREFIXES:
@@ -81,7 +82,7 @@ class _Scaled(Formatter):
         self._digits, self._offset = 0, 0.0
         if len(values) < 2 or not values[-1] > values[0]:
             return
-        step = min(b - a for a, b in zip(values, values[1:], strict=False) if b > a)
+        step = min(b - a for a, b in pairwise(values) if b > a)
         self._digits = max(0, -math.floor(math.log10(step) + 1e-6))
         self._digits += 0 if _is_round(step, self._digits) else 1
         whole = len(str(int(max(abs(values[0]), abs(values[-1])))))
@@ -104,11 +105,11 @@ def _is_round(step: float, digits: int) -> bool:
 
 
 def finished(axes: Axes, sides: Sequence[tuple[str, str, str]]) -> None:
-    """Set labels and ticks of linear sides, (``x``, label, unit) each, once the limits are known."""
+    """Labels and ticks of linear sides, (``x``, label, unit) each, once limits are known."""
     for side, label, unit in sides:
         low, high = getattr(axes, f"get_{side}lim")()
         power = _power(max(abs(low), abs(high)))
         getattr(axes, f"set_{side}label")(scaled_label(label, unit, power))
         axis = getattr(axes, f"{side}axis")
-        axis.set_major_locator(MaxNLocator(_TICKS))
+        axis.set_major_locator(MaxNLocator(_TICKS, steps=[1, 2, 2.5, 5, 10]))
         axis.set_major_formatter(_Scaled(power))
