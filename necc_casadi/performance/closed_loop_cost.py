@@ -84,19 +84,19 @@ class Responses:
         """How far a state goes beyond the target, as a share of the first distance, (N,)."""
         first = (self.x[:, 0] - self.x_star) / self.size
         beyond = -np.sign(first)[:, None] * (self.x - self.x_star) / self.size
-        largest = np.nanmax(np.where(first[:, None] == 0, 0.0, beyond), axis=(1, 2))
+        largest = np.fmax.reduce(np.where(first[:, None] == 0, 0.0, beyond), axis=(1, 2))
         norm = np.linalg.norm(first, axis=1)
         return np.asarray(np.maximum(largest, 0.0) / np.where(norm > 0, norm, 1.0), float)
 
     @property
     def peak_inputs(self) -> Vector:
         """Largest |u| of each input, (N, m)."""
-        return np.asarray(np.nanmax(np.abs(self.u), axis=1), float)
+        return np.asarray(np.fmax.reduce(np.abs(self.u), axis=1), float)
 
     @property
     def peak_demands(self) -> Vector:
         """Largest |u| that the controller asked for, (N, m)."""
-        return np.asarray(np.nanmax(np.abs(self.demand), axis=1), float)
+        return np.asarray(np.fmax.reduce(np.abs(self.demand), axis=1), float)
 
 
 def design_feedback(design: Design) -> Feedback:

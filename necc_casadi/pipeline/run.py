@@ -327,7 +327,7 @@ def _drawn(
         }
         if certificate.level is not None:
             starts = region_boundary(made, certificate.level, certificate.reach)
-            inside = [simulate(made, start) for start in starts]
+            inside = [simulate(made, start, made.xi_star) for start in starts]
             figures["region"] = region_figure(made, certificate.level, inside, certificate.reach)
         landscape = landscape_figure(made, certificate)
         if landscape is not None:

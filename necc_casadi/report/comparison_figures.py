@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -19,7 +20,7 @@ __all__ = ["frequency_figure", "step_figure"]
 
 
 #: Colour and line of each controller.
-_STYLE = {
+_STYLE: dict[str, dict[str, Any]] = {
     "this design": {"color": "#1f4e79", "lw": 1.8},
     "LQR": {"color": "#d9730d", "lw": 1.3, "ls": "--"},
     "optimum": {"color": "#2e7d32", "lw": 1.3, "ls": ":"},

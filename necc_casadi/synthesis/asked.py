@@ -204,7 +204,9 @@ def demanded(design: Design) -> Vector:
         simulate(design, x0, points=_POINTS) for x0 in random_states(design, _STARTS, design.seed)
     ]
     demands = [r.u if r.demand is None else r.demand for r in found]
-    low, high = (np.array([pick(d, axis=0) for d in demands]) for pick in (np.nanmin, np.nanmax))
+    low, high = (
+        np.array([pick(d, axis=0) for d in demands]) for pick in (np.fmin.reduce, np.fmax.reduce)
+    )
     return np.column_stack([low.min(axis=0), high.max(axis=0)])
 
 
