@@ -117,32 +117,39 @@ def lqr_feedback(plant: PlantModel) -> Feedback | None:
 
 
 def responses(
-    plant: PlantModel, feedback: Feedback, starts: Sequence[Vector], horizon: float
+    plant: PlantModel,
+    feedback: Feedback,
+    starts: Sequence[Vector],
+    horizon: float,
+    xi: Sequence[Vector] | None = None,
 ) -> Responses:
-    """Responses from plant states (n,) over a horizon, in natural units, inputs limited."""
+    """Responses from plant states (n,) over a horizon, in natural units, inputs limited.
+
+    ξ starts as the controller has it, or at `xi` (nc,) for each start.
+    """
+    xi = [feedback.start(start) for start in starts] if xi is None else xi
     grid = np.linspace(0.0, horizon, _POINTS)
     integrator = _integrator(plant, feedback, grid)
     n, nc = plant.n, feedback.nc
     states = np.full((len(starts), _POINTS, n + nc + 1), np.nan)
-    for index, start in enumerate(starts):
-        states[index, 0] = np.concatenate([start, feedback.start(start), [0.0]])
+    for index, (start, held) in enumerate(zip(starts, xi, strict=True)):
+        states[index, 0] = np.concatenate([start, held, [0.0]])
         try:
             with interruptible():
                 ends = np.asarray(integrator(x0=states[index, 0])["xf"], float)
         except RuntimeError:  # the integrator's way to say that it cannot go on
             continue
         states[index, 1:] = ends.T
-    x, xi = states[..., :n], states[..., n : n + nc]
     law = feedback.law.map(len(starts) * _POINTS)
     columns = states.reshape(-1, n + nc + 1).T
     u, _ = law.call([columns[:n], columns[n : n + nc]])
     demand = np.asarray(u, float).reshape(plant.m, -1).T.reshape(len(starts), _POINTS, plant.m)
     found = Responses(
         t=grid,
-        x=x,
+        x=states[..., :n],
         u=np.clip(demand, plant.u_low, plant.u_high),
         demand=demand,
-        xi=xi,
+        xi=states[..., n : n + nc],
         cost=states[:, -1, -1],
         x_star=plant.x_star,
         size=plant.size,

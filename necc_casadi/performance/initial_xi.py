@@ -6,11 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 
+from necc_casadi.arrays import Truth, Vector
 from necc_casadi.designs.design import Design
 from necc_casadi.model.cost import QuadraticCost
-from necc_casadi.performance.closed_loop_cost import Responses, design_feedback, responses
-from necc_casadi.performance.measure import horizon_of, random_starts
+from necc_casadi.performance.closed_loop_cost import design_feedback, responses
 from necc_casadi.performance.plant_model import plant_model
+from necc_casadi.performance.starts import decay_time, random_starts
 
 __all__ = ["with_better_start"]
 
@@ -36,19 +37,19 @@ def with_better_start(design: Design, cost: QuadraticCost) -> Design:
     starts = [
         start / design.units.state[: plant.n] for start in random_starts(design, _STARTS, _SEED)
     ]
-    horizon = horizon_of(design, plant)
-    plain, least = (
-        responses(plant, design_feedback(kind), starts, horizon)
-        for kind in (replace(design, initial_xi="target"), replace(design, initial_xi="minimum"))
-    )
-    return replace(design, initial_xi="minimum" if _is_better(least, plain) else "target")
+    least = replace(design.natural, initial_xi="minimum")
+    xi = [design.natural.xi_star] * _STARTS + [least.xi_at_start(start) for start in starts]
+    found = responses(plant, design_feedback(design), starts * 2, decay_time(design), xi)
+    arrived, paid = found.arrived, found.cost
+    better = _is_better(arrived[_STARTS:], paid[_STARTS:], arrived[:_STARTS], paid[:_STARTS])
+    return replace(design, initial_xi="minimum" if better else "target")
 
 
-def _is_better(one: Responses, other: Responses) -> bool:
-    more = int(one.arrived.sum()) - int(other.arrived.sum())
+def _is_better(arrived: Truth, cost: Vector, before: Truth, cost_before: Vector) -> bool:
+    more = int(arrived.sum()) - int(before.sum())
     if abs(more) > _FEW_MORE:
         return more > 0
-    both = np.flatnonzero(one.arrived & other.arrived)
-    if not both.size:
+    both = arrived & before
+    if not both.any():
         return False
-    return bool(np.mean(np.log(one.cost[both] / other.cost[both])) < np.log(1 - _GAIN))
+    return bool(np.mean(np.log(cost[both] / cost_before[both])) < np.log(1 - _GAIN))

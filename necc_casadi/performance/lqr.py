@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-import scipy.linalg
 
 from necc_casadi.arrays import Vector
 from necc_casadi.model.cost import QuadraticCost
@@ -39,6 +38,8 @@ def lqr(A: Vector, B: Vector, cost: QuadraticCost) -> Lqr | None:
 
     Solved where R = I and the diagonal of Q is 1, whatever the units (Bryson's coordinates).
     """
+    from scipy.linalg import solve_continuous_are  # slow to import, and few runs need it
+
     diagonal = np.diag(cost.Q)
     scale = np.where(diagonal > 0, diagonal, np.max(diagonal)) ** -0.5
     root = np.linalg.cholesky(cost.R)  # R = root rootᵀ
@@ -46,7 +47,7 @@ def lqr(A: Vector, B: Vector, cost: QuadraticCost) -> Lqr | None:
     B_hat = np.linalg.solve(root, (B / scale[:, None]).T).T
     Q_hat = cost.Q * np.outer(scale, scale)
     try:
-        P_hat = scipy.linalg.solve_continuous_are(A_hat, B_hat, Q_hat, np.eye(B.shape[1]))
+        P_hat = solve_continuous_are(A_hat, B_hat, Q_hat, np.eye(B.shape[1]))
     except (np.linalg.LinAlgError, ValueError):
         return None
     P = np.asarray(P_hat / np.outer(scale, scale), float)

@@ -16,7 +16,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy.optimize import brentq, minimize_scalar
 
 from necc_casadi.arrays import Vector
 
@@ -146,6 +145,8 @@ def _at_rest(A: Vector, B: Vector, C: Vector) -> list[float]:
 
 def _zeros(f: Callable[[float], float], w: Vector, values: Vector) -> list[float]:
     """Where a function changes its sign between neighbouring frequencies, refined."""
+    from scipy.optimize import brentq  # slow to import, and few runs need it
+
     return [
         float(brentq(f, w[k], w[k + 1], xtol=1e-12 * w[k], rtol=1e-13))
         for k in np.flatnonzero(values[:-1] * values[1:] < 0)
@@ -159,6 +160,8 @@ def _disk(A: Vector, B: Vector, C: Vector, w: Vector) -> float:
     def size(v: Vector) -> Vector:
         L = _response(A, B, C, v)
         return np.linalg.svd((identity - L) @ np.linalg.inv(identity + L), compute_uv=False)[..., 0]
+
+    from scipy.optimize import minimize_scalar  # slow to import, and few runs need it
 
     sampled = size(w)
     best = max(1.0, float(sampled.max()))  # L vanishes at infinity: S − T is I there

@@ -20,6 +20,7 @@ from necc_casadi.performance.closed_loop_cost import (
 from necc_casadi.performance.margins import Margins, Sweep, margins, one_input
 from necc_casadi.performance.optimum import Optimal, optimal_responses
 from necc_casadi.performance.plant_model import PlantModel, plant_model
+from necc_casadi.performance.starts import decay_time, random_starts, settled_in
 from necc_casadi.performance.steady_error import disturbed_error, perturbed_error
 
 __all__ = [
@@ -28,18 +29,8 @@ __all__ = [
     "Loop",
     "Performance",
     "Rating",
-    "horizon_of",
     "measure",
-    "random_starts",
 ]
-
-
-#: Modes that decay more slowly than this share of the fastest are not waited for.
-_DECAYS = 1e-4
-
-
-#: The slowest mode has this many time constants to settle.
-_CONSTANTS = 10.0
 
 
 #: Starts that a design is measured from, and the matched disturbance as a share of an input's size.
@@ -104,13 +95,6 @@ class Performance:
     loops: tuple[Loop, ...] = field(default=(), repr=False)
 
 
-def random_starts(design: Design, count: int, seed: int) -> list[Vector]:
-    """Plant states drawn uniformly from the domain, (n,) each, in the units of the model."""
-    n, rng = design.loop.plant.n, np.random.default_rng(seed)
-    lo, hi = design.domain.lo[:n], design.domain.hi[:n]
-    return list(rng.uniform(lo, hi, (count, n)))
-
-
 def measure(
     design: Design,
     *,
@@ -141,7 +125,7 @@ def measure(
     starts = random_starts(design, STARTS, seed) if starts is None else list(starts)
     plant = plant_model(design, cost)
     natural_starts = [s / design.units.state[: plant.n] for s in (*starts, step_start(design))]
-    horizon = horizon_of(design, plant)
+    horizon = _horizon(design, plant)
     ours = responses(plant, design_feedback(design), natural_starts, horizon)
     linear = lqr_feedback(plant)
     theirs = None if linear is None else responses(plant, linear, natural_starts, horizon)
@@ -251,16 +235,10 @@ def _opened(name: str, A: Vector, B: Vector, C: Vector) -> Loop:
     return Loop(name, inputs, margins(A, B, C))
 
 
-def horizon_of(design: Design, plant: PlantModel) -> float:
+def _horizon(design: Design, plant: PlantModel) -> float:
     """Long enough for the slowest mode of either controller, in natural time."""
-    modes = design.spectrum * design.units.time
-    spectra = [modes] if plant.linear is None else [modes, plant.linear.spectrum]
-    slowest = []
-    for spectrum in spectra:
-        decays = -np.real(spectrum)
-        slowest.append(float(decays[decays > _DECAYS * np.abs(spectrum).max()].min(initial=np.inf)))
-    pace = min(slowest)
-    return _CONSTANTS / pace if np.isfinite(pace) else _CONSTANTS
+    ours = decay_time(design)
+    return ours if plant.linear is None else max(ours, settled_in(plant.linear.spectrum))
 
 
 def _median(values: Vector) -> float | None:

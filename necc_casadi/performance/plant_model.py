@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import casadi as ca
 import numpy as np
@@ -28,7 +29,13 @@ class PlantModel:
     u_size: Vector  # (m,)
     u_low: Vector  # (m,) limits of the inputs, −∞ and ∞ without
     u_high: Vector
-    linear: Lqr | None  # None: LQR does not stabilise it
+    A: Vector  # (n, n) ∂ẋ/∂x at the target
+    B: Vector  # (n, m) ∂ẋ/∂u
+
+    @cached_property
+    def linear(self) -> Lqr | None:
+        """LQR at the target; None: it does not stabilise the plant."""
+        return lqr(self.A, self.B, self.cost)
 
     @property
     def n(self) -> int:
@@ -71,5 +78,6 @@ def plant_model(design: Design, cost: QuadraticCost) -> PlantModel:
         u_size=natural.sizes.input,
         u_low=low,
         u_high=high,
-        linear=lqr(A, B, scaled),
+        A=A,
+        B=B,
     )

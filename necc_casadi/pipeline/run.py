@@ -11,9 +11,10 @@ import hashlib
 import re
 import time
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import sympy as sp
 
@@ -29,7 +30,6 @@ from necc_casadi.files import LISTING, check_writable, write_text
 from necc_casadi.folders import whole_folder
 from necc_casadi.model.model_file import Model, load_model
 from necc_casadi.model.spot_checks import check_model_at
-from necc_casadi.performance.measure import Performance, measure
 from necc_casadi.pipeline.advice import (
     design_notes,
     model_notes,
@@ -47,7 +47,6 @@ from necc_casadi.pipeline.request import (
     with_structure,
 )
 from necc_casadi.pipeline.sweep import sweep_a
-from necc_casadi.report.comparison_figures import frequency_figure, step_figure
 from necc_casadi.report.figures import (
     lyapunov_figure,
     region_boundary,
@@ -67,10 +66,17 @@ from necc_casadi.synthesis.synthesis import answered
 from necc_casadi.verdict.judge import judge
 from necc_casadi.verdict.verdict import Verdict
 
+if TYPE_CHECKING:
+    from necc_casadi.performance.measure import Performance
+
 __all__ = ["run_design"]
 
 
 _RESPONSES = 10
+
+
+#: Points of a response in the plane of two states.
+_POINTS = 251
 
 
 #: A parameter that is not known well, over the one of the model.
@@ -118,11 +124,15 @@ def _made(request: Request, task: _Task, found: Findings, folder: Path, clock: C
     made = answer.design
     certificate = _certified(made, clock)
     files = _saved(made, certificate, folder)
-    motion, share = _simulated(made, clock), sampled_share(made, certificate)
-    export = _exported(request, made, certificate, folder, clock)
-    sweep = () if request.sweep_a is None else _swept(request.sweep_a, task, clock)
-    performance = _compared(request, task, made, clock) if request.compare else None
-    drawn = _drawn(request, made, certificate, motion.responses, sweep, performance, folder, clock)
+    with ThreadPoolExecutor(1) as pool:  # compilers run while the loop is simulated and drawn
+        exported = pool.submit(_exported, request, made, certificate, folder, clock)
+        motion, share = _simulated(made, clock), sampled_share(made, certificate)
+        sweep = () if request.sweep_a is None else _swept(request.sweep_a, task, clock)
+        performance = _compared(request, task, made, clock) if request.compare else None
+        drawn = _drawn(
+            request, made, certificate, motion.responses, sweep, performance, folder, clock
+        )
+        export = exported.result()
     return replace(
         found,
         design=made,
@@ -257,6 +267,8 @@ class _Export:
 
 def _compared(request: Request, task: _Task, made: Design, clock: Clock) -> Performance:
     """Measure the design beside LQR and the optimum, and on plants that differ a little."""
+    from necc_casadi.performance.measure import measure
+
     given, values = read_parameters(request.param), task.model.params
     with clock.stage("compare", "comparing with LQR and the optimum"):
         others = {}
@@ -327,12 +339,14 @@ def _drawn(
         }
         if certificate.level is not None:
             starts = region_boundary(made, certificate.level, certificate.reach)
-            inside = [simulate(made, start, made.xi_star) for start in starts]
+            inside = [simulate(made, start, made.xi_star, points=_POINTS) for start in starts]
             figures["region"] = region_figure(made, certificate.level, inside, certificate.reach)
         landscape = landscape_figure(made, certificate)
         if landscape is not None:
             figures["landscape"] = landscape
         if performance is not None:
+            from necc_casadi.report.comparison_figures import frequency_figure, step_figure
+
             compared = {
                 "step": step_figure(made, performance),
                 "loop": frequency_figure(made, performance),

@@ -14,7 +14,7 @@ from necc_casadi.designs.design import Design
 from necc_casadi.performance.margins import Sweep
 from necc_casadi.performance.measure import Curve, Loop, Performance
 from necc_casadi.report.figures import draw_limits, named_input, named_state
-from necc_casadi.report.ticks import engineering, finished
+from necc_casadi.report.ticks import engineering, finished, logarithmic
 
 __all__ = ["frequency_figure", "step_figure"]
 
@@ -135,6 +135,8 @@ def _frame(gain: Axes, phase: Axes, sweeps: Sequence[Sweep]) -> None:
     gain.set_ylim(10**-_DECADES, 10**_DECADES)
     gain.axhline(1, color="0.5", lw=0.8)
     phase.axhline(-180, color="0.5", lw=0.8)
+    logarithmic(gain, "y")
+    logarithmic(phase, "x")
     gain.set_ylabel("|L|")
     gain.tick_params(labelbottom=False)
     phase.set_ylabel("phase [°]")

@@ -20,7 +20,7 @@ from necc_casadi.files import write_text
 from necc_casadi.model.sizes import input_names
 from necc_casadi.report.findings import SweepPoint
 from necc_casadi.report.slices import Window, domain_window, shadow, slice_boundary, slice_values
-from necc_casadi.report.ticks import engineering, finished
+from necc_casadi.report.ticks import engineering, finished, logarithmic, panels
 from necc_casadi.simulation.responses import Trajectory
 
 __all__ = [
@@ -62,7 +62,7 @@ def write_figure(figure: Figure, path: Path, dpi: int = 120) -> Path:
     """Write a PNG whole or not at all."""
     buffer = io.BytesIO()
     FigureCanvasAgg(figure)
-    figure.savefig(buffer, format="png", dpi=dpi)
+    figure.savefig(buffer, format="png", dpi=dpi, pil_kwargs={"compress_level": 4})
     return write_text(path, buffer.getvalue())
 
 
@@ -78,9 +78,10 @@ def lyapunov_figure(design: Design) -> Figure:
     i, j = window.pair
     A, B, values = slice_values(design, window)
 
-    figure = Figure(figsize=(10, 4.4), layout="constrained")
+    figure = Figure(figsize=(10, 4.4))
     figure.suptitle(f"{design.loop.plant.name}: Lyapunov function at ξ = ξ*")
     surface = figure.add_subplot(1, 2, 1, projection="3d")
+    surface.set_position((0.0, 0.03, 0.46, 0.9))
     shown = _without_poles(values)
     surface.plot_surface(A, B, shown, cmap="viridis", linewidth=0, alpha=0.9, rcount=40, ccount=40)
     finished(
@@ -90,13 +91,13 @@ def lyapunov_figure(design: Design) -> Figure:
     surface.yaxis.labelpad = 8
     surface.view_init(elev=28, azim=-60)
 
-    flat = figure.add_subplot(1, 2, 2)
+    flat = figure.add_axes((0.56, 0.21, 0.42, 0.65))
     lines = flat.contour(A, B, shown, levels=_levels(values), cmap="viridis")
     if np.isfinite(shown).all():  # beside a pole, numbers would stand on one another
         labelled = _levels(values)[2::2]  # apart from the marks
         flat.clabel(lines, levels=labelled, fontsize=7, fmt=lambda v: engineering(v, digits=2))
     _mark_minima(design, flat, i, j)
-    figure.legend(*flat.get_legend_handles_labels(), loc="outside lower right", ncols=2, fontsize=8)
+    figure.legend(*flat.get_legend_handles_labels(), loc="lower right", ncols=2, fontsize=8)
     flat.set_title("contours of V − V(z̄)", fontsize=10)
     return figure
 
@@ -161,7 +162,7 @@ def region_figure(
     window, edge = _window(design, level, _telling_sides(design, reach))
     i, j = window.pair
     A, B, values = slice_values(design, window)
-    figure = Figure(figsize=(6.4, 5.6), layout="constrained")
+    figure = panels(1, 1, (5.45, 4.1), legend=0.85)
     axis = figure.add_subplot()
     shown, levels = _without_poles(values), _levels(values)
     axis.contour(A, B, shown, levels=levels, cmap="viridis", linewidths=0.7, alpha=0.6)
@@ -181,9 +182,9 @@ def region_figure(
     axis.set_xlim(window.lo[0], window.hi[0])
     axis.set_ylim(window.lo[1], window.hi[1])
     finished(axis, [("x", *named_state(design, i)), ("y", *named_state(design, j))])
-    figure.legend(loc="outside lower center", ncols=2, fontsize=8)
+    figure.legend(loc="lower center", ncols=2, fontsize=8)
     title = f"{design.loop.plant.name}: proved region Ω"
-    axis.set_title(f"{title}\ndomain: {_extent(design)}", fontsize=10)  # Ω may be a small part
+    axis.set_title(f"{title}\ndomain: {_extent(design)}", fontsize=9)  # Ω may be a small part
     return figure
 
 
@@ -229,10 +230,11 @@ def responses_figure(design: Design, trajectories: Sequence[Trajectory]) -> Figu
     shown = _telling_states(design, trajectories)
     names = [named_state(design, k) for k in shown]
     inputs = min(design.loop.plant.m, _MOST_PANELS)
-    panels = len(names) + inputs + 1
-    columns = min((3, 4), key=lambda number: -panels % number)  # the fewest gaps
-    rows = -(-panels // columns)
-    figure = Figure(figsize=(3.6 * columns, 2.1 * rows + 0.5), layout="constrained")
+    count = len(names) + inputs + 1
+    unsettled = any(not response.converged for response in trajectories)
+    columns = min((3, 4), key=lambda number: -count % number)  # the fewest gaps
+    rows = -(-count // columns)
+    figure = panels(rows, columns, (2.8, 1.75), legend=0.3 if unsettled else 0.0)
     total = len(design.loop.states)
     left_out = f" ({len(shown)} of {total} states)" if len(shown) < total else ""
     figure.suptitle(f"{design.loop.plant.name}: closed-loop responses, targets dashed{left_out}")
@@ -240,7 +242,7 @@ def responses_figure(design: Design, trajectories: Sequence[Trajectory]) -> Figu
     steady, _ = design.control(
         design.z_bar[: design.loop.plant.n], design.z_bar[design.loop.plant.n :]
     )
-    for k, axis in enumerate(axes[:panels]):
+    for k, axis in enumerate(axes[:count]):
         for response in trajectories:
             color = _INK if response.converged else _UNSETTLED
             values = _panel(design, response, k, shown, inputs)
@@ -255,8 +257,8 @@ def responses_figure(design: Design, trajectories: Sequence[Trajectory]) -> Figu
         else:
             _decay_axis(axis)
         axis.grid(alpha=0.25)
-    outcomes = {response.converged for response in trajectories}
-    if False in outcomes:
+    if unsettled:
+        outcomes = {response.converged for response in trajectories}
         lines = [
             Line2D([], [], color=color, label=label)
             for settled, color, label in (
@@ -265,10 +267,10 @@ def responses_figure(design: Design, trajectories: Sequence[Trajectory]) -> Figu
             )
             if settled in outcomes
         ]
-        figure.legend(handles=lines, loc="outside lower center", ncols=2, fontsize=8)
-    for axis in axes[panels:]:
+        figure.legend(handles=lines, loc="lower center", ncols=2, fontsize=8)
+    for axis in axes[count:]:
         axis.remove()
-    for k in range(max(0, panels - columns), panels):
+    for k in range(max(0, count - columns), count):
         axes[k].tick_params(labelbottom=True)
         finished(axes[k], [("x", "time", "s")])
     return figure
@@ -310,6 +312,7 @@ def draw_limits(axis: Axes, design: Design, index: int) -> None:
 
 def _decay_axis(axis: Axes) -> None:
     axis.set_yscale("log")
+    logarithmic(axis, "y")
     axis.set_ylabel("V − V(z̄)")
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import sympy as sp
 
@@ -16,10 +17,12 @@ from necc_casadi.designs.error_bound import natural_loss
 from necc_casadi.designs.measures import Measures, measure
 from necc_casadi.export.sampled_loop import SampledLoop
 from necc_casadi.model.closed_loop import ClosedLoop
-from necc_casadi.performance.measure import Performance
 from necc_casadi.simulation.responses import Trajectory
 from necc_casadi.synthesis.asked import Asked
 from necc_casadi.verdict.verdict import Verdict
+
+if TYPE_CHECKING:
+    from necc_casadi.performance.measure import Performance
 
 __all__ = ["Findings", "SweepPoint", "attracts", "global_claim", "region_claim"]
 

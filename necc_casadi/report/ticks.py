@@ -8,9 +8,10 @@ from itertools import pairwise
 from typing import Any
 
 from matplotlib.axes import Axes
-from matplotlib.ticker import Formatter, MaxNLocator
+from matplotlib.figure import Figure
+from matplotlib.ticker import Formatter, FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 
-__all__ = ["engineering", "finished", "scaled_label"]
+__all__ = ["engineering", "finished", "logarithmic", "panels", "scaled_label"]
 
 
 #: Powers of ten between which numbers stand as they are.
@@ -33,6 +34,30 @@ _MOST_DIGITS = 5
 
 #: Ticks on an axis at most.
 _TICKS = 6
+
+
+#: Inches around panels: left for a label and ticks, right, between rows; above and below.
+_LEFT, _RIGHT, _BETWEEN, _ABOVE, _BELOW = 0.8, 0.15, 0.5, 0.45, 0.55
+
+
+def panels(rows: int, columns: int, panel: tuple[float, float], legend: float = 0.0) -> Figure:
+    """A figure with room for panels of a width and a height in inches, and for a legend below.
+
+    A layout that measures every text takes longer than all the drawing.
+    """
+    width = columns * (_LEFT + panel[0] + _RIGHT)
+    below = _BELOW + legend
+    height = _ABOVE + rows * panel[1] + (rows - 1) * _BETWEEN + below
+    figure = Figure(figsize=(width, height))
+    figure.subplots_adjust(
+        left=_LEFT / width,
+        right=1 - _RIGHT / width,
+        bottom=below / height,
+        top=1 - _ABOVE / height,
+        wspace=(_LEFT + _RIGHT) / panel[0],
+        hspace=_BETWEEN / panel[1],
+    )
+    return figure
 
 
 def _power(largest: float) -> int:
@@ -97,6 +122,20 @@ class _Scaled(Formatter):
         """The text of one tick."""
         text = f"{x / self._factor - self._offset:.{self._digits}f}"
         return text.replace("-", "−") if float(text) else text.replace("-", "")
+
+
+def power_of_ten(value: float, _pos: int | None = None) -> str:
+    """A tick of a logarithmic axis, without a typesetter of mathematics: ``10⁻¹²``."""
+    exponent = round(math.log10(value)) if value > 0 else 0
+    return f"10{str(exponent).translate(_SUPERSCRIPT)}"
+
+
+def logarithmic(axes: Axes, side: str) -> None:
+    """Ticks at powers of ten on one side."""
+    axis = getattr(axes, f"{side}axis")
+    axis.set_major_locator(LogLocator(10, numticks=_TICKS))
+    axis.set_major_formatter(FuncFormatter(power_of_ten))
+    axis.set_minor_formatter(NullFormatter())
 
 
 def _is_round(step: float, digits: int) -> bool:

@@ -40,7 +40,7 @@ _RELATIVE, _ABSOLUTE = 1e-9, 1e-11
 
 
 #: A response is integrated in so many pieces, each with so many steps between two outputs at most.
-_PIECES, _MOST_STEPS = 20, 10_000
+_PIECES, _MOST_STEPS = 5, 10_000
 
 
 @dataclass(frozen=True, eq=False)

@@ -31,7 +31,6 @@ from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
-import scipy.linalg
 
 from necc_casadi.arrays import Vector
 from necc_casadi.designs.outcome import Start
@@ -238,7 +237,9 @@ class _Loop:
         A = A + self.aim.rate * np.eye(len(A))
         if not np.isfinite(A).all() or np.linalg.eigvals(A).real.max() >= 0:
             return None
-        P = scipy.linalg.solve_continuous_lyapunov(A.T, -W)
+        from scipy.linalg import solve_continuous_lyapunov  # slow to import, and few runs need it
+
+        P = solve_continuous_lyapunov(A.T, -W)
         P = np.asarray((P + P.T) / 2, float)
         # a state that nothing costs has no share in P: the factor L_P must exist all the same
         P += 1e-9 * float(np.trace(P)) * np.eye(len(P))
