@@ -100,7 +100,7 @@ class Design(Parts):
             return self.xi_star
         natural, n = self.natural, self.loop.plant.n
         x = np.asarray(x0, float) / self.units.state[:n]
-        return least_over_xi(natural.lyapunov, natural, x) * self.units.state[n:]
+        return least_over_xi(natural.lyapunov, natural, x)[0] * self.units.state[n:]
 
     def V(self, z: npt.ArrayLike) -> float:
         """The Lyapunov function at z = (x, ξ), (n + nc,)."""

@@ -22,10 +22,10 @@ _STEPS, _HALVINGS, _ARMIJO = 50, 30, 1e-4
 _SHIFTS = (0.0, *10.0 ** np.arange(-3, 9))
 
 
-def least_over_xi(V: LyapunovFunction, parts: Parts, x: Vector) -> Vector:
-    """ξ at the minimum of V(x, ·) that Newton's method reaches from ξ*, (nc,).
+def least_over_xi(V: LyapunovFunction, parts: Parts, x: Vector) -> tuple[Vector, bool]:
+    """ξ at the minimum of V(x, ·) that Newton's method reaches from ξ*, (nc,); whether it does.
 
-    The best that was found where it reaches none.
+    Where it reaches none, ξ is the best that was found.
 
     Parameters
     ----------
@@ -40,10 +40,10 @@ def least_over_xi(V: LyapunovFunction, parts: Parts, x: Vector) -> Vector:
     for _ in range(_STEPS):
         z = np.concatenate([x, xi])
         value, g = float(V.V(z)), V.gradient(z)[n:]
-        step = _downhill(V.hessian(z)[n:, n:], stiffness, g)
+        step, convex = _downhill(V.hessian(z)[n:, n:], stiffness, g)
         slope = float(g @ step)
         if -slope <= rounding * (parts.sizes.energy + abs(value)):
-            return np.asarray(xi + step, float)
+            return np.asarray(xi + step, float), convex
         for halving in range(_HALVINGS):
             length = 0.5**halving
             trial = xi + length * step
@@ -52,16 +52,19 @@ def least_over_xi(V: LyapunovFunction, parts: Parts, x: Vector) -> Vector:
         else:
             break
         xi = trial
-    return xi
+    return xi, False
 
 
-def _downhill(hessian: Vector, stiffness: Vector, g: Vector) -> Vector:
-    """Newton's step, or that of the least shift which makes the Hessian positive definite."""
+def _downhill(hessian: Vector, stiffness: Vector, g: Vector) -> tuple[Vector, bool]:
+    """Newton's step, or that of the least shift which makes the Hessian positive definite.
+
+    And whether it is Newton's.
+    """
     for shift in _SHIFTS:
         shifted = hessian + shift * stiffness
         try:
             np.linalg.cholesky(shifted)
+            return np.asarray(-np.linalg.solve(shifted, g), float), shift == 0
         except np.linalg.LinAlgError:
             continue
-        return np.asarray(-np.linalg.solve(shifted, g), float)
-    return np.zeros_like(g)
+    return np.zeros_like(g), False

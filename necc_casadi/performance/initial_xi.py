@@ -8,6 +8,7 @@ import numpy as np
 
 from necc_casadi.arrays import Truth, Vector
 from necc_casadi.designs.design import Design
+from necc_casadi.designs.initial import least_over_xi
 from necc_casadi.model.cost import QuadraticCost
 from necc_casadi.performance.closed_loop_cost import design_feedback, responses
 from necc_casadi.performance.plant_model import plant_model
@@ -29,7 +30,8 @@ def with_better_start(design: Design, cost: QuadraticCost) -> Design:
     """The design with ξ(0) = argmin V(x(0), ·) where that costs less, else with ξ(0) = ξ*.
 
     ξ* needs no computing, so it stays unless more of the starts arrive, or they cost less by more
-    than the starts can tell. Inputs stay within the limits of the model.
+    than the starts can tell; and where V(x(0), ·) has no minimum that Newton's method finds. Inputs
+    stay within the limits of the model.
     """
     if not design.spectrum.real.max() < 0:
         return design
@@ -37,8 +39,11 @@ def with_better_start(design: Design, cost: QuadraticCost) -> Design:
     starts = [
         start / design.units.state[: plant.n] for start in random_starts(design, _STARTS, _SEED)
     ]
-    least = replace(design.natural, initial_xi="minimum")
-    xi = [design.natural.xi_star] * _STARTS + [least.xi_at_start(start) for start in starts]
+    natural = design.natural
+    least = [least_over_xi(natural.lyapunov, natural, start) for start in starts]
+    if not all(reached for _, reached in least):
+        return replace(design, initial_xi="target")
+    xi = [natural.xi_star] * _STARTS + [at for at, _ in least]
     found = responses(plant, design_feedback(design), starts * 2, decay_time(design), xi)
     arrived, paid = found.arrived, found.cost
     better = _is_better(arrived[_STARTS:], paid[_STARTS:], arrived[:_STARTS], paid[:_STARTS])

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from necc_casadi.arrays import Vector
-from necc_casadi.synthesis.asked import Asked
+
+if TYPE_CHECKING:
+    from necc_casadi.synthesis.asked import Asked
 
 __all__ = ["asked_text", "missed"]
 

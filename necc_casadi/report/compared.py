@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from necc_casadi.arrays import Vector
 from necc_casadi.model.plant import Plant
-from necc_casadi.performance.measure import Performance, Rating
+
+if TYPE_CHECKING:
+    from necc_casadi.performance.measure import Performance, Rating
 
 __all__ = ["comparison", "error_lines"]
 

@@ -18,11 +18,11 @@ from necc_casadi.designs.measures import Measures, measure
 from necc_casadi.export.sampled_loop import SampledLoop
 from necc_casadi.model.closed_loop import ClosedLoop
 from necc_casadi.simulation.responses import Trajectory
-from necc_casadi.synthesis.asked import Asked
 from necc_casadi.verdict.verdict import Verdict
 
 if TYPE_CHECKING:
     from necc_casadi.performance.measure import Performance
+    from necc_casadi.synthesis.asked import Asked
 
 __all__ = ["Findings", "SweepPoint", "attracts", "global_claim", "region_claim"]
 

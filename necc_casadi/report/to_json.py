@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from necc_casadi.arrays import Vector
 from necc_casadi.casimirs.casimirs import Casimirs
@@ -11,14 +11,16 @@ from necc_casadi.designs.design import Design
 from necc_casadi.designs.measures import Measures
 from necc_casadi.designs.outcome import Start
 from necc_casadi.files import finite
-from necc_casadi.performance.measure import Performance, Rating
 from necc_casadi.report.asked import asked_text
 from necc_casadi.report.findings import Findings
 from necc_casadi.simulation.responses import Trajectory
 from necc_casadi.symbolic.expressions import to_text
 from necc_casadi.symbolic.floats import to_float, to_floats
-from necc_casadi.synthesis.asked import Asked
 from necc_casadi.verdict.verdict import Verdict
+
+if TYPE_CHECKING:
+    from necc_casadi.performance.measure import Performance, Rating
+    from necc_casadi.synthesis.asked import Asked
 
 __all__ = ["to_json"]
 

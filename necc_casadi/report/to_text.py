@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import textwrap
+from typing import TYPE_CHECKING
 
 import numpy as np
 import sympy as sp
@@ -15,13 +16,15 @@ from necc_casadi.designs.measures import Measures
 from necc_casadi.designs.outcome import Residual, solver_seconds
 from necc_casadi.export.sampled_loop import SampledLoop
 from necc_casadi.model.plant import Plant
-from necc_casadi.performance.measure import Performance
 from necc_casadi.report.asked import asked_text, missed
 from necc_casadi.report.compared import comparison, error_lines
 from necc_casadi.report.findings import Findings, attracts, global_claim, region_claim
 from necc_casadi.symbolic.expressions import to_text
 from necc_casadi.symbolic.floats import to_float
 from necc_casadi.verdict.verdict import Verdict
+
+if TYPE_CHECKING:
+    from necc_casadi.performance.measure import Performance
 
 __all__ = ["percent", "rounded_down", "summary"]
 

@@ -105,7 +105,9 @@ def test_the_region_is_drawn_large_with_its_slice_and_its_shadow(default_design)
         low, high = np.transpose([axis.get_xlim(), axis.get_ylim()])
         assert (np.ptp(curve, axis=0) > 0.3 * (high - low)).all()
         assert ((low <= curve) & (curve <= high)).all()
-        assert axis.get_title().endswith("domain: q from -1.21 to 2.79, p from -1.68 to 1.68")
+        assert axis.get_title().endswith(
+            "from −1.21 rad to 2.79 rad, p from −1.68 kg m²/s to 1.68 kg m²/s"
+        )
         assert drawn(figure).startswith(b"\x89PNG")
 
 
@@ -157,7 +159,7 @@ def test_where_no_region_is_proved_a_cross_says_so(default_design):
     figure = figures.sweep_figure(default_design, sweep((0.3, None, 0.1), (None, 1.0, 1.0)))
     lines = lines_of(figure.axes[1])
     np.testing.assert_array_equal(lines["no region proved"], [[0.5, 0.0]])
-    (proved,) = (xy for label, xy in lines.items() if "at least" in label)
+    (proved,) = (xy for label, xy in lines.items() if "in the proved" in label)
     assert list(np.isnan(proved[:, 1])) == [False, True, False]
     assert drawn(figure).startswith(b"\x89PNG")
     nothing = figures.sweep_figure(default_design, sweep((None,) * 3, (None,) * 3))
