@@ -21,6 +21,10 @@ __all__ = ["with_better_start"]
 _STARTS, _SEED = 20, 2
 
 
+#: Loops of more states are not simulated for the choice: it would take longer than the design.
+_MANY_STATES = 16
+
+
 #: From so few starts nothing can be told where the mean cost is lower by less than this share, or
 #: as few more arrive.
 _GAIN, _FEW_MORE = 0.03, 1
@@ -30,10 +34,10 @@ def with_better_start(design: Design, cost: QuadraticCost) -> Design:
     """The design with ξ(0) = argmin V(x(0), ·) where that costs less, else with ξ(0) = ξ*.
 
     ξ* needs no computing, so it stays unless more of the starts arrive, or they cost less by more
-    than the starts can tell; and where V(x(0), ·) has no minimum that Newton's method finds. Inputs
-    stay within the limits of the model.
+    than the starts can tell; and where V(x(0), ·) has no minimum that Newton's method finds, and
+    in loops of many states. Inputs stay within the limits of the model.
     """
-    if not design.spectrum.real.max() < 0:
+    if len(design.z_star) > _MANY_STATES or not design.spectrum.real.max() < 0:
         return design
     plant = plant_model(design, cost)
     starts = [

@@ -106,7 +106,7 @@ def _performance(found: Performance, states: list[str]) -> dict[str, Any]:
         **_rating(found.design),
         "cost_to_lqr": found.cost_to_lqr,
         "starts": found.starts,
-        **{name: None if r is None else _rating(r) for name, r in others.items()},
+        "beside": {name: None if r is None else _rating(r) for name, r in others.items()},
         "errors": {
             "disturbance": error(found.errors.disturbance),
             "parameters": {k: error(v) for k, v in found.errors.parameters.items()},
