@@ -65,6 +65,13 @@ class Responses:
         return np.asarray(np.linalg.norm((self.x - self.x_star) / self.size, axis=2), float)
 
     @property
+    def near(self) -> Truth:
+        """Which starts end near the target, (N,)."""
+        distance = self.distance
+        with np.errstate(invalid="ignore"):
+            return np.asarray(distance[:, -1] <= _ARRIVED * distance[:, 0], bool)
+
+    @property
     def arrived(self) -> Truth:
         """Which starts come to the target, (N,)."""
         return np.isfinite(self.cost)
@@ -154,10 +161,7 @@ def responses(
         x_star=plant.x_star,
         size=plant.size,
     )
-    distance = found.distance
-    with np.errstate(invalid="ignore"):
-        arrived = distance[:, -1] <= _ARRIVED * distance[:, 0]
-    return replace(found, cost=np.where(arrived & np.isfinite(found.cost), found.cost, np.inf))
+    return replace(found, cost=np.where(found.near & np.isfinite(found.cost), found.cost, np.inf))
 
 
 def _integrator(plant: PlantModel, feedback: Feedback, grid: Vector) -> ca.Function:

@@ -18,6 +18,10 @@ from necc_casadi.model.cost import QuadraticCost
 __all__ = ["Lqr", "lqr"]
 
 
+#: A mode that decays more slowly than this share of the fastest is one that no input moves.
+_STILL = 1e-9
+
+
 @dataclass(frozen=True, eq=False)
 class Lqr:
     """u = u* − K(x − x*), of cost (x − x*)ᵀP(x − x*) near the target."""
@@ -53,4 +57,5 @@ def lqr(A: Vector, B: Vector, cost: QuadraticCost) -> Lqr | None:
     P = np.asarray(P_hat / np.outer(scale, scale), float)
     K = np.linalg.solve(cost.R, B.T @ P)
     found = Lqr(A, B, K, P)
-    return found if found.spectrum.real.max() < 0 else None
+    fastest = float(np.abs(found.spectrum).max())
+    return found if found.spectrum.real.max() < -_STILL * fastest else None

@@ -172,7 +172,8 @@ def _as_responses(found: Sequence[Optimal | None], like: Responses) -> Responses
         inputs = np.vstack([best.u[0], best.u])
         x[index] = np.column_stack([np.interp(like.t, t, row) for row in states.T])
         u[index] = np.column_stack([np.interp(like.t, t, row) for row in inputs.T])
-    return replace(like, x=x, u=u, demand=u, cost=costs)
+    found_responses = replace(like, x=x, u=u, demand=u, cost=costs)
+    return replace(found_responses, cost=np.where(found_responses.near, costs, np.inf))
 
 
 def _rating(

@@ -33,6 +33,10 @@ __all__ = ["LeastCost", "Reached", "is_plain"]
 _MOST_SOLVES, _FASTER = 25, 1.02
 
 
+#: Times that quadratic parts are made stiffer at most.
+_MOST_STEPS = 4
+
+
 #: Factors of the stiffness of each quadratic part, and of the damping of each port, that are tried.
 _STIFFER, _DAMPED = 2.0 ** np.arange(9), 2.0 ** np.arange(-4, 5)
 
@@ -128,7 +132,11 @@ class LeastCost:
         A solve is shifted by less than the rate of where it begins, so that P exists there; it
         makes the next one faster.
         """
-        begin = self._stiffened(now, rate)
+        begin = now
+        for _ in range(_MOST_STEPS):
+            slow, begin = self._rate(begin), self._stiffened(begin, rate)
+            if not _FASTER * slow <= self._rate(begin) < rate:
+                break
         found, bound, shares = None, False, list(_SHARES)
         for _ in range(_MOST_SOLVES):
             reached = self._rate(begin)
