@@ -6,7 +6,8 @@ and disk margins at the plant's input; how many starts arrive; seconds of the de
 
     python benchmarks/quality.py [NAME ...]
 
-Weights are Bryson's: 1/size² of every state and input. Nobody's inputs are saturated.
+Weights are Bryson's: 1/size² of every state and input. Inputs stay within the limits
+of the model, where it has any.
 """
 
 from __future__ import annotations
@@ -59,11 +60,11 @@ def ratio(mean: float | None, worst: float | None) -> str:
 
 def cells(found: Performance, seconds: float) -> list[str]:
     """Ratio, margins, arrivals and time."""
-    margins = found.margins
+    margins = found.design.margins
     return [
-        ratio(found.cost_to_optimum, found.worst_to_optimum),
+        ratio(found.design.cost_to_optimum, found.design.worst_to_optimum),
         "–" if margins is None else f"{margins.phase_deg:.0f}°, {margins.disk:.2f}",
-        f"{100 * found.converging_share:.0f} %",
+        f"{100 * found.design.converging_share:.0f} %",
         f"{seconds:.2f}",
     ]
 
@@ -75,7 +76,8 @@ def row(label: str) -> list[str]:
     for least_cost in (False, True):
         design_, seconds = made(name, target, Options(convex=convex, least_cost=least_cost))
         found = measure(design_)
-        linear = ratio(found.lqr_to_optimum, found.lqr_worst)
+        if found.lqr is not None:
+            linear = ratio(found.lqr.cost_to_optimum, found.lqr.worst_to_optimum)
         result += cells(found, seconds)
     return [label, linear, *result]
 

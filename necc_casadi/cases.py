@@ -8,11 +8,13 @@ __all__ = [
     "NAME_IN_C",
     "Activation",
     "CasimirForm",
+    "InitialXi",
     "Integrator",
     "Mode",
     "PhiForm",
     "Precision",
     "Shape",
+    "Stop",
 ]
 
 
@@ -34,6 +36,15 @@ Shape = Literal["none", "regulariser", "level"]
 
 #: Of the training program: g = 0, t = 0 imposed, alone, over samples or for cost; or min s + t.
 Mode = Literal["hard", "shaped", "cost", "soft"]
+
+
+#: Where ξ starts: at ξ*, or at the minimum of V(x(0), ·).
+InitialXi = Literal["target", "minimum"]
+
+
+#: What keeps a response from what was asked: a mode of the plant that no input moves, the peak of
+#: an input, the bound of ‖A‖, or that the program finds nothing faster in this structure.
+Stop = Literal["unmoved_mode", "input_peak", "norm_bound", "structure"]
 
 
 #: Number type of the C controller.

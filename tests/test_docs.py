@@ -256,7 +256,20 @@ def test_the_contract_explains_every_key_of_the_json():
 
 
 RUNS = {
-    "certified": (0, "q=pi/4", ["--sweep-a", "0.3:0.5:2", "--sample-time", "0.01", "--no-plots"]),
+    "certified": (
+        0,
+        "q=pi/4",
+        [
+            "--sweep-a",
+            "0.3:0.5:2",
+            "--sample-time",
+            "0.01",
+            "--no-plots",
+            "--rate",
+            "0.3",
+            "--compare",
+        ],
+    ),
     "assignable": (0, "q=pi/4", ["--check"]),
     "refused": (3, "0,1", []),
     "error": (2, "z=1", []),

@@ -23,6 +23,7 @@ from necc_casadi.cli.options import (
     read_prefix,
     read_range,
     region_option,
+    response_option,
     solver_option,
     task_option,
     widths,
@@ -48,6 +49,29 @@ __all__ = ["design_command"]
     "--param", multiple=True, metavar="NAME=VALUE", help="Override a parameter of the model."
 )
 @task_option("--check", is_flag=True, help="Stop after the symbolic verdict: no training.")
+@response_option(
+    "--settle",
+    type=Positive(),
+    metavar="SECONDS",
+    help="Time in which a response is to come within 2 %: a rate of 4/SECONDS.",
+)
+@response_option(
+    "--rate",
+    type=Positive(),
+    metavar="1/S",
+    help="Rate that every mode at the target is to exceed.",
+)
+@numbers(
+    response_option,
+    "--peak-u",
+    "Largest |u| from random starts, one number or one per input.  [default with --rate and "
+    "--settle: u_limits of the model]",
+)
+@response_option(
+    "--compare",
+    is_flag=True,
+    help="Measure the design beside LQR and the optimum, from the same starts.",
+)
 @form_option(
     "--paper",
     is_flag=True,
@@ -158,10 +182,15 @@ def _design(model: Path, **options: Any) -> int:
 
     MODEL is a Python file that defines x, J, R, G and H with sympy. It is run as your own code.
 
+    --settle, --rate, --peak-u and --compare design for the least quadratic cost. Its weights are
+    state_cost and input_cost of MODEL, by default 1/size² of every state and input; a model that
+    has them is designed so, too.
+
     \b
     Examples:
       necc-design pendulum.py --target pi/4
       necc-design pendulum.py --target q=pi/4 --check
+      necc-design pendulum.py --target pi/4 --settle 3 --peak-u 3 --compare
       necc-design pendulum.py --target pi/4 --paper --sweep-a 0.1:1.0:10
 
     \b

@@ -24,6 +24,7 @@ __all__ = [
     "read_prefix",
     "read_range",
     "region_option",
+    "response_option",
     "solver_option",
     "task_option",
     "widths",
@@ -103,6 +104,9 @@ form_option = grouped("Form of the design")
 
 
 region_option = grouped("Region of attraction")
+
+
+response_option = grouped("Response")
 
 
 solver_option = grouped("Solver and damping")

@@ -35,7 +35,9 @@ __all__ = ["simulate_command"]
     "Plant state to start from, all states in order.  [default: "
     "the middle between target and domain edge]",
 )
-@numbers(task_option, "--xi0", "Controller state to start from.  [default: ξ*]")
+@numbers(
+    task_option, "--xi0", "Controller state to start from.  [default: as the design starts it]"
+)
 @task_option("--time", "horizon", type=Positive(), help="Horizon, s.")
 @output_option(
     "--points",

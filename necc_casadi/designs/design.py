@@ -17,6 +17,7 @@ import numpy.typing as npt
 
 from necc_casadi.arrays import Vector
 from necc_casadi.casimirs.momenta import find_momenta
+from necc_casadi.designs.initial import least_over_xi
 from necc_casadi.designs.layout import BROKEN, DESIGN_FORMAT, check_whole, from_dict, to_dict
 from necc_casadi.designs.natural import natural_parts
 from necc_casadi.designs.parts import Parts
@@ -92,6 +93,14 @@ class Design(Parts):
     def control(self, x: npt.ArrayLike, xi: npt.ArrayLike) -> tuple[Vector, Vector]:
         """The controller: plant state (n,), controller state (nc,) -> u (m,), ξ̇ (nc,)."""
         return self.lyapunov.control_law(x, xi)
+
+    def xi_at_start(self, x0: npt.ArrayLike) -> Vector:
+        """ξ(0) of this design for a measured plant state (n,), (nc,); ``necc_start`` in C."""
+        if self.initial_xi == "target":
+            return self.xi_star
+        natural, n = self.natural, self.loop.plant.n
+        x = np.asarray(x0, float) / self.units.state[:n]
+        return least_over_xi(natural.lyapunov, natural, x)[0] * self.units.state[n:]
 
     def V(self, z: npt.ArrayLike) -> float:
         """The Lyapunov function at z = (x, ξ), (n + nc,)."""

@@ -7,12 +7,13 @@ import json
 from collections.abc import Mapping
 from dataclasses import asdict
 from functools import cache
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import sympy as sp
 
 from necc_casadi.arrays import Vector
+from necc_casadi.cases import InitialXi
 from necc_casadi.casimirs.casimirs import Casimirs
 from necc_casadi.designs.outcome import Residual, Start
 from necc_casadi.designs.parts import Parts
@@ -118,6 +119,7 @@ def to_dict(design: Parts) -> dict[str, Any]:
         "a": float(design.a).hex(),
         "a_requested": float(design.a_requested).hex(),
         "xi_star": _hex(design.xi_star),
+        **({} if design.initial_xi == "target" else {"initial_xi": design.initial_xi}),
         "D": _hex(design.D),
         "Dc": _hex(design.Dc),
         **_coupling_text(design.damping),
@@ -191,6 +193,8 @@ def check_whole(design: Parts, data: Mapping[str, Any]) -> None:
             raise ValueError(f"sizes and units must be positive: {name}")
         if np.any(np.frexp(unit)[0] != 0.5):
             raise ValueError(f"units must be powers of two: {name}")
+    if design.initial_xi not in get_args(InitialXi):
+        raise ValueError(f"no such ξ(0): {design.initial_xi!r}")
     if not dissipates(design.damping):
         raise ValueError("the symmetric part of the damping must be positive definite")
     inputs = [form.hc.inputs, form.k.inputs, *[beta.inputs for beta in form.betas]]
@@ -280,6 +284,7 @@ def from_dict(data: Mapping[str, Any]) -> Parts:
         form=_form(data["form"]),
         weights=_unhex(data["weights"]),
         xi_star=_unhex(data["xi_star"]),
+        initial_xi=data.get("initial_xi", "target"),
         damping=_damping(data),
         a=float.fromhex(data["a"]),
         a_requested=float.fromhex(data["a_requested"]),

@@ -10,6 +10,7 @@ import numpy as np
 import sympy as sp
 
 from necc_casadi.arrays import Vector
+from necc_casadi.cases import InitialXi
 from necc_casadi.casimirs.casimirs import Casimirs
 from necc_casadi.designs.outcome import Residual, Start
 from necc_casadi.lyapunov.parameterization import Form
@@ -46,6 +47,7 @@ class Parts:
     a_requested: float
     seed: int
     starts: tuple[Start, ...] = ()
+    initial_xi: InitialXi = "target"  # where ξ starts
     learned: Residual | None = None  # of a learned Casimir; None: Casimirs in closed form
     versions: Mapping[str, str] = field(default_factory=_package_versions)
     sizes: Sizes = _OF_THE_MODEL  # natural sizes at the target; by default the model's units

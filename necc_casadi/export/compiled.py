@@ -63,6 +63,12 @@ class CompiledController:
         flags = self._function("init_at")(xi, self._array(x0, self.n))
         return np.array(xi, float), int(flags)
 
+    def start(self, x0: Sequence[float]) -> tuple[Vector, int]:
+        """``necc_start``: plant state (n,) -> ξ(0) of the design, (nc,), flags."""
+        xi = (self.real * self.nc)()
+        flags = self._function("start")(xi, self._array(x0, self.n))
+        return np.array(xi, float), int(flags)
+
     def step(
         self, xi: Sequence[float], x: Sequence[float], dt: float
     ) -> tuple[Vector, Vector, int]:

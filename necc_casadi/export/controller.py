@@ -17,6 +17,13 @@ from necc_casadi.export.templating import fill, indent
 __all__ = ["controller"]
 
 
+#: Body of ``necc_start``.
+_START = {
+    "target": "(void)x0;\nnecc_init(state);\nreturn NECC_OK;",
+    "minimum": "return necc_init_at(state, x0);",
+}
+
+
 def controller(source: Source) -> str:
     """The text of ``necc.c``."""
     networks, real = _networks(source), source.number
@@ -40,6 +47,7 @@ def controller(source: Source) -> str:
         saturate="saturate(u)" if saturation else "NECC_OK",
         xi_star=real.literals(source.design.xi_star),
         init_at=_init_at(source),
+        start=indent(_START[source.design.initial_xi]),
     )
     return source.named(text)
 

@@ -56,7 +56,12 @@ def export_fmu(
     """
     source = Source(design, real, sample_time, integrator, certificate_hash, tuple(claims), prefix)
     guid = f"{{{design.hash[:32]}}}"
-    wrapper = fill("fmu.c", guid=guid, x_star=source.number.literals(design.z_star[: source.n]))
+    wrapper = fill(
+        "fmu.c",
+        guid=guid,
+        x_star=source.number.literals(design.z_star[: source.n]),
+        start_at_minimum=int(design.initial_xi == "minimum"),
+    )
     texts = {"necc.h": header(source), "necc.c": controller(source), "fmu.c": source.named(wrapper)}
     path = Path(path)
     name = re.sub(r"\W", "_", path.stem, flags=re.ASCII)
@@ -155,7 +160,8 @@ def _variables(root: ET.Element, design: Design, units: Sequence[str]) -> None:
         description="1: u clipped, 2: input not finite, 4: no minimum found",
     )  # fmt: skip
     add(
-        start, 0, "Boolean", {"start": "true"}, causality="parameter", variability="fixed",
+        start, 0, "Boolean", {"start": str(design.initial_xi == "minimum").lower()},
+        causality="parameter", variability="fixed",
         description="xi starts at the minimum of V(x, .)",
     )  # fmt: skip
 

@@ -18,6 +18,13 @@ _METHODS = {
 }
 
 
+#: What ``necc_start`` does.
+_START = {
+    "target": "as necc_init; returns NECC_OK",
+    "minimum": "as necc_init_at",
+}
+
+
 def header(source: Source) -> str:
     """The text of ``necc.h``."""
     design, sample = source.design, source.sample_time
@@ -38,6 +45,7 @@ def header(source: Source) -> str:
         sample_define=define,
         sampling=_sampling(source),
         limits="" if plant.u_limits else "; never: the model has no limits",
+        start_text=_START[design.initial_xi],
         order=_order(source),
         real=source.real,
         integrator_name=_METHODS[source.integrator],

@@ -9,7 +9,7 @@ import contextlib
 import sys
 import traceback
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
@@ -68,6 +68,7 @@ class Model:
     Dc: Vector | None = None  # m × m
     state_cost: Vector | None = None  # n × n, ⪰ 0
     input_cost: Vector | None = None  # m × m, ≻ 0
+    params: Mapping[str, sp.Expr] = field(default_factory=dict)  # values, exact
     notes: tuple[str, ...] = ()  # names in the file that look mistyped
 
 
@@ -198,6 +199,7 @@ def _build(path: Path, space: dict[str, Any], overrides: Mapping[str, str]) -> M
         Dc=_damping(file, "Dc", plant.m),
         state_cost=_weight(file, "state_cost", plant.n, strict=False),
         input_cost=_weight(file, "input_cost", plant.m, strict=True),
+        params=file.parameters,
     )
 
 
@@ -208,8 +210,9 @@ class _Reader:
         self.space = space
         self.states = _symbols(space["x"], "x")
         self.xi = _symbols(space.get("xi", ()), "xi")
-        parameters = _parameters(self.table("params"), {str(s) for s in self._own}, overrides)
-        self._values = {s: parameters.get(str(s), _real(s)) for s in self._occurring()}
+        own = {str(s) for s in self._own}
+        self.parameters = _parameters(self.table("params"), own, overrides)
+        self._values = {s: self.parameters.get(str(s), _real(s)) for s in self._occurring()}
 
     @property
     def _own(self) -> list[sp.Symbol]:

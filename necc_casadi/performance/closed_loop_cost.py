@@ -7,8 +7,8 @@ Hindmarsh et al. (2005), CVODES.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 import casadi as ca
 import numpy as np
@@ -42,7 +42,8 @@ class Feedback:
     """A controller in natural units."""
 
     law: ca.Function  # (x, ξ) -> (u, ξ̇)
-    xi: Vector  # (nc,) where ξ starts
+    nc: int  # states of the controller
+    start: Callable[[Vector], Vector]  # x(0) (n,) -> ξ(0) (nc,)
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +52,8 @@ class Responses:
 
     t: Vector  # (points,)
     x: Vector  # (N, points, n)
-    u: Vector  # (N, points, m)
+    u: Vector  # (N, points, m) within the limits of the model
+    demand: Vector  # (N, points, m) what the controller asked for
     xi: Vector  # (N, points, nc)
     cost: Vector  # (N,) ∞ where the target is not reached
     x_star: Vector  # (n,)
@@ -61,6 +63,13 @@ class Responses:
     def distance(self) -> Vector:
         """‖x − x*‖ in sizes, (N, points)."""
         return np.asarray(np.linalg.norm((self.x - self.x_star) / self.size, axis=2), float)
+
+    @property
+    def near(self) -> Truth:
+        """Which starts end near the target, (N,)."""
+        distance = self.distance
+        with np.errstate(invalid="ignore"):
+            return np.asarray(distance[:, -1] <= _ARRIVED * distance[:, 0], bool)
 
     @property
     def arrived(self) -> Truth:
@@ -82,19 +91,26 @@ class Responses:
         """How far a state goes beyond the target, as a share of the first distance, (N,)."""
         first = (self.x[:, 0] - self.x_star) / self.size
         beyond = -np.sign(first)[:, None] * (self.x - self.x_star) / self.size
-        largest = np.nanmax(np.where(first[:, None] == 0, 0.0, beyond), axis=(1, 2))
+        largest = np.fmax.reduce(np.where(first[:, None] == 0, 0.0, beyond), axis=(1, 2))
         norm = np.linalg.norm(first, axis=1)
         return np.asarray(np.maximum(largest, 0.0) / np.where(norm > 0, norm, 1.0), float)
 
     @property
     def peak_inputs(self) -> Vector:
         """Largest |u| of each input, (N, m)."""
-        return np.asarray(np.nanmax(np.abs(self.u), axis=1), float)
+        return np.asarray(np.fmax.reduce(np.abs(self.u), axis=1), float)
+
+    @property
+    def peak_demands(self) -> Vector:
+        """Largest |u| that the controller asked for, (N, m)."""
+        return np.asarray(np.fmax.reduce(np.abs(self.demand), axis=1), float)
 
 
 def design_feedback(design: Design) -> Feedback:
-    """The controller of a design, ξ starting at ξ*."""
-    return Feedback(design.natural.lyapunov.control_law_function, design.natural.xi_star)
+    """The controller of a design, ξ starting where the design says."""
+    natural = design.natural
+    law = natural.lyapunov.control_law_function
+    return Feedback(law, len(natural.xi_star), natural.xi_at_start)
 
 
 def lqr_feedback(plant: PlantModel) -> Feedback | None:
@@ -103,43 +119,58 @@ def lqr_feedback(plant: PlantModel) -> Feedback | None:
         return None
     x, xi = ca.MX.sym("x", plant.n), ca.MX.sym("xi", 0)
     u = ca.DM(plant.u_star) - ca.DM(plant.linear.K) @ (x - ca.DM(plant.x_star))
-    return Feedback(ca.Function("lqr", [x, xi], [u, ca.MX(0, 1)]), np.zeros(0))
+    law = ca.Function("lqr", [x, xi], [u, ca.MX(0, 1)])
+    return Feedback(law, 0, lambda _: np.zeros(0))
 
 
 def responses(
-    plant: PlantModel, feedback: Feedback, starts: Sequence[Vector], horizon: float
+    plant: PlantModel,
+    feedback: Feedback,
+    starts: Sequence[Vector],
+    horizon: float,
+    xi: Sequence[Vector] | None = None,
 ) -> Responses:
-    """Responses from plant states (n,) over a horizon, in natural units."""
+    """Responses from plant states (n,) over a horizon, in natural units, inputs limited.
+
+    ξ starts as the controller has it, or at `xi` (nc,) for each start.
+    """
+    xi = [feedback.start(start) for start in starts] if xi is None else xi
     grid = np.linspace(0.0, horizon, _POINTS)
     integrator = _integrator(plant, feedback, grid)
-    n, nc = plant.n, len(feedback.xi)
+    n, nc = plant.n, feedback.nc
     states = np.full((len(starts), _POINTS, n + nc + 1), np.nan)
-    for index, start in enumerate(starts):
-        states[index, 0] = np.concatenate([start, feedback.xi, [0.0]])
+    for index, (start, held) in enumerate(zip(starts, xi, strict=True)):
+        states[index, 0] = np.concatenate([start, held, [0.0]])
         try:
             with interruptible():
-                found = np.asarray(integrator(x0=states[index, 0])["xf"], float)
+                ends = np.asarray(integrator(x0=states[index, 0])["xf"], float)
         except RuntimeError:  # the integrator's way to say that it cannot go on
             continue
-        states[index, 1:] = found.T
-    x, xi = states[..., :n], states[..., n : n + nc]
+        states[index, 1:] = ends.T
     law = feedback.law.map(len(starts) * _POINTS)
     columns = states.reshape(-1, n + nc + 1).T
     u, _ = law.call([columns[:n], columns[n : n + nc]])
-    inputs = np.asarray(u, float).reshape(plant.m, -1).T.reshape(len(starts), _POINTS, plant.m)
-    found_responses = Responses(grid, x, inputs, xi, states[:, -1, -1], plant.x_star, plant.size)
-    distance = found_responses.distance
-    with np.errstate(invalid="ignore"):
-        arrived = distance[:, -1] <= _ARRIVED * distance[:, 0]
-    cost = np.where(arrived & np.isfinite(states[:, -1, -1]), states[:, -1, -1], np.inf)
-    return Responses(grid, x, inputs, xi, cost, plant.x_star, plant.size)
+    demand = np.asarray(u, float).reshape(plant.m, -1).T.reshape(len(starts), _POINTS, plant.m)
+    found = Responses(
+        t=grid,
+        x=states[..., :n],
+        u=np.clip(demand, plant.u_low, plant.u_high),
+        demand=demand,
+        xi=states[..., n : n + nc],
+        cost=states[:, -1, -1],
+        x_star=plant.x_star,
+        size=plant.size,
+    )
+    return replace(found, cost=np.where(found.near & np.isfinite(found.cost), found.cost, np.inf))
 
 
 def _integrator(plant: PlantModel, feedback: Feedback, grid: Vector) -> ca.Function:
-    n, nc = plant.n, len(feedback.xi)
+    n, nc = plant.n, feedback.nc
     state = ca.MX.sym("state", n + nc + 1)
     x, xi = state[:n], state[n : n + nc]
     u, xi_dot = feedback.law.call([x, xi])
+    if plant.limited:
+        u = ca.fmin(ca.fmax(u, ca.DM(plant.u_low)), ca.DM(plant.u_high))
     sx, su = ca.SX.sym("x", n), ca.SX.sym("u", plant.m)
     running = ca.Function("cost", [sx, su], [plant.running_cost(sx, su)])
     field = {"x": state, "ode": ca.vertcat(plant.dynamics(x, u), xi_dot, running(x, u))}

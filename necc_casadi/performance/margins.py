@@ -16,11 +16,10 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy.optimize import brentq, minimize_scalar
 
 from necc_casadi.arrays import Vector
 
-__all__ = ["Margins", "margins"]
+__all__ = ["Margins", "Sweep", "margins", "one_input"]
 
 
 #: Decades beyond the slowest and the fastest mode that are swept, and points in each of them.
@@ -71,6 +70,21 @@ def margins(A: Vector, B: Vector, C: Vector) -> Margins:
         delay=min(single[3] for single in singles),
         disk=_disk(A, B, C, frequencies),
     )
+
+
+@dataclass(frozen=True, eq=False)
+class Sweep:
+    """L(jω) of a scalar loop."""
+
+    w: Vector  # (points,) rad/s
+    L: _Complex  # (points,)
+
+
+def one_input(A: Vector, B: Vector, C: Vector, i: int) -> Sweep:
+    """The loop opened at input i, the others closed, around its modes."""
+    loop = _one_loop(A, B, C, i)
+    w = _sweep(A, A - B @ C)
+    return Sweep(w, np.asarray(_response(*loop, w)[:, 0, 0]))
 
 
 def _one_loop(A: Vector, B: Vector, C: Vector, i: int) -> tuple[Vector, Vector, Vector]:
@@ -131,6 +145,8 @@ def _at_rest(A: Vector, B: Vector, C: Vector) -> list[float]:
 
 def _zeros(f: Callable[[float], float], w: Vector, values: Vector) -> list[float]:
     """Where a function changes its sign between neighbouring frequencies, refined."""
+    from scipy.optimize import brentq  # slow to import, and few runs need it
+
     return [
         float(brentq(f, w[k], w[k + 1], xtol=1e-12 * w[k], rtol=1e-13))
         for k in np.flatnonzero(values[:-1] * values[1:] < 0)
@@ -144,6 +160,8 @@ def _disk(A: Vector, B: Vector, C: Vector, w: Vector) -> float:
     def size(v: Vector) -> Vector:
         L = _response(A, B, C, v)
         return np.linalg.svd((identity - L) @ np.linalg.inv(identity + L), compute_uv=False)[..., 0]
+
+    from scipy.optimize import minimize_scalar  # slow to import, and few runs need it
 
     sampled = size(w)
     best = max(1.0, float(sampled.max()))  # L vanishes at infinity: S − T is I there

@@ -1,5 +1,7 @@
 """The least cost from a start: Radau collocation, solved by IPOPT, with LQR's cost at the end.
 
+Inputs stay within the limits of the model.
+
 References
 ----------
 Biegler (2010), Nonlinear Programming, chapter 10. Wächter and Biegler (2006), IPOPT.
@@ -18,7 +20,7 @@ from necc_casadi.interrupts import interruptible
 from necc_casadi.performance.closed_loop_cost import Responses
 from necc_casadi.performance.plant_model import PlantModel
 
-__all__ = ["Optimum", "optimal_costs"]
+__all__ = ["Optimal", "Optimum", "optimal_responses"]
 
 
 #: Points of collocation per interval, intervals, and how much longer each is than the one before.
@@ -54,6 +56,16 @@ def _grid(horizon: float) -> _Grid:
     return _Grid(steps, times, np.asarray(slopes, float), np.asarray(weights, float).ravel())
 
 
+@dataclass(frozen=True, eq=False)
+class Optimal:
+    """A response of least cost, in natural units."""
+
+    cost: float
+    t: Vector  # (points,)
+    x: Vector  # (points, n)
+    u: Vector  # (points, m)
+
+
 class Optimum:
     """The optimal control problem of a plant over a horizon, in natural units; built once.
 
@@ -83,6 +95,10 @@ class Optimum:
             "g": ca.vec(defects),
         }
         self.solver = ca.nlpsol("optimum", "ipopt", problem, _IPOPT)
+        free = np.full(n * _DEGREE * _INTERVALS, np.inf)
+        points = _DEGREE * _INTERVALS
+        self.lower = np.concatenate([-free, np.tile(plant.u_low, points)])
+        self.upper = np.concatenate([free, np.tile(plant.u_high, points)])
 
     def _interval(self) -> ca.Function:
         """(x at its begin, x and u at its points, length) -> (defects, cost)."""
@@ -99,16 +115,29 @@ class Optimum:
             cost = cost + length * float(grid.weights[j]) * plant.running_cost(x, u)
         return ca.Function("interval", [begin, X, U, length], [ca.vertcat(*defects), cost])
 
-    def cost(self, start: Vector, guess: tuple[Vector, Vector, Vector] | None = None) -> float:
-        """The least cost from a plant state; ∞ where IPOPT does not find it.
+    def response(
+        self, start: Vector, guess: tuple[Vector, Vector, Vector] | None = None
+    ) -> Optimal | None:
+        """The response of least cost from a plant state; None where IPOPT does not find it.
 
         `guess` is a response (t, x (points, n), u (points, m)) to begin with.
         """
         states, inputs = self._straight(start) if guess is None else self._along(*guess)
         first = np.concatenate([states.ravel(), inputs.ravel()])
         with interruptible():
-            found = self.solver(x0=first, p=start, lbg=0, ubg=0)
-        return float(found["f"]) if self.solver.stats()["success"] else np.inf
+            found = self.solver(x0=first, p=start, lbx=self.lower, ubx=self.upper, lbg=0, ubg=0)
+        if not self.solver.stats()["success"]:
+            return None
+        n, m = self.plant.n, self.plant.m
+        values = np.asarray(found["x"], float).ravel()
+        x = values[: n * len(self.grid.times)].reshape(-1, n)
+        u = values[n * len(self.grid.times) :].reshape(-1, m)
+        return Optimal(float(found["f"]), self.grid.times, x, u)
+
+    def cost(self, start: Vector, guess: tuple[Vector, Vector, Vector] | None = None) -> float:
+        """The least cost from a plant state; ∞ where IPOPT does not find it."""
+        found = self.response(start, guess)
+        return np.inf if found is None else found.cost
 
     def _along(self, t: Vector, x: Vector, u: Vector) -> tuple[Vector, Vector]:
         times = self.grid.times
@@ -126,17 +155,18 @@ class Optimum:
         return plant.x_star + share * (start - plant.x_star), inputs
 
 
-def optimal_costs(
+def optimal_responses(
     plant: PlantModel, starts: Sequence[Vector], known: Sequence[Responses]
-) -> Vector:
-    """The least cost from each start, (N,), the best found from every known response.
+) -> list[Optimal | None]:
+    """The response of least cost from each start, the best found from every known response.
 
     The known responses share their times, whose end is the horizon.
     """
     problem = Optimum(plant, float(known[0].t[-1]))
-    best = np.full(len(starts), np.inf)
+    best: list[Optimal | None] = []
     for index, start in enumerate(starts):
         arrived = [r for r in known if r.arrived[index]]
-        found = [problem.cost(start, (r.t, r.x[index], r.u[index])) for r in arrived]
-        best[index] = min(found) if found else problem.cost(start)
+        tried = [problem.response(start, (r.t, r.x[index], r.u[index])) for r in arrived]
+        found = [r for r in (tried or [problem.response(start)]) if r is not None]
+        best.append(min(found, key=lambda r: r.cost, default=None))
     return best

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import casadi as ca
+import numpy as np
 
 from necc_casadi.arrays import Vector
 from necc_casadi.designs.design import Design
@@ -25,7 +27,15 @@ class PlantModel:
     cost: QuadraticCost
     size: Vector  # (n,) natural sizes
     u_size: Vector  # (m,)
-    linear: Lqr | None  # None: LQR does not stabilise it
+    u_low: Vector  # (m,) limits of the inputs, −∞ and ∞ without
+    u_high: Vector
+    A: Vector  # (n, n) ∂ẋ/∂x at the target
+    B: Vector  # (n, m) ∂ẋ/∂u
+
+    @cached_property
+    def linear(self) -> Lqr | None:
+        """LQR at the target; None: it does not stabilise the plant."""
+        return lqr(self.A, self.B, self.cost)
 
     @property
     def n(self) -> int:
@@ -36,6 +46,11 @@ class PlantModel:
     def m(self) -> int:
         """Number of inputs."""
         return len(self.u_star)
+
+    @property
+    def limited(self) -> bool:
+        """Whether any input has a limit."""
+        return bool(np.isfinite([self.u_low, self.u_high]).any())
 
     def running_cost(self, x: ca.SX, u: ca.SX) -> ca.SX:
         """What (x, u) costs per unit of time."""
@@ -52,6 +67,8 @@ def plant_model(design: Design, cost: QuadraticCost) -> PlantModel:
     u = natural.control(x, natural.xi_star)[0]
     A, B = plant_linearisation(terms, x, u)
     scaled = cost.measured_in(units)
+    limits = natural.loop.plant.u_limits or ((-np.inf, np.inf),) * terms.m
+    low, high = np.array(limits, float).T
     return PlantModel(
         dynamics=plant_dynamics(terms),
         x_star=x,
@@ -59,5 +76,8 @@ def plant_model(design: Design, cost: QuadraticCost) -> PlantModel:
         cost=scaled,
         size=natural.sizes.state[: terms.n],
         u_size=natural.sizes.input,
-        linear=lqr(A, B, scaled),
+        u_low=low,
+        u_high=high,
+        A=A,
+        B=B,
     )

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import sympy as sp
 
+from necc_casadi.arrays import Vector
 from necc_casadi.cases import Activation, CasimirForm, Integrator, PhiForm, Precision, Shape
 from necc_casadi.errors import OptionError
 from necc_casadi.model.closed_loop import interconnect
@@ -63,6 +64,10 @@ class Request:
     check: bool = False
     paper: bool = False
     chosen: Choices = Choices()
+    rate: float | None = None  # 1/s
+    settle: float | None = None  # s, 2 %
+    peak_u: tuple[float, ...] | None = None
+    compare: bool = False
     damping: tuple[float, ...] | None = None
     controller_damping: tuple[float, ...] | None = None
     plots: bool = True
@@ -126,6 +131,35 @@ def read_target(model: Model, text: str | None) -> dict[sp.Symbol, sp.Expr]:
     )
 
 
+#: A mode exp(−αt) has fallen to 2 % after this many time constants: exp(−4) is 1.8 %.
+_SETTLED = 4.0
+
+
+def _with_response(options: Options, request: Request, m: int) -> Options:
+    """What is asked of the response; it takes the least-cost program."""
+    if request.rate is not None and request.settle is not None:
+        raise OptionError(
+            "usage",
+            f"--rate {request.rate:g} and --settle {request.settle:g} both ask for a speed",
+            f"Give one: --settle T is --rate {_SETTLED:g}/T.",
+        )
+    rate = request.rate if request.settle is None else _SETTLED / request.settle
+    peak = None if request.peak_u is None else _peak(request.peak_u, m)
+    cost = options.least_cost or (request.compare and not request.paper)
+    return replace(options, rate=rate, peak_u=peak, least_cost=cost)
+
+
+def _peak(values: tuple[float, ...], m: int) -> Vector:
+    if len(values) not in (1, m) or not all(0 < value < np.inf for value in values):
+        shown = ",".join(f"{value:g}" for value in values)
+        raise OptionError(
+            "usage",
+            f"--peak-u {shown} is not a positive number for each of {m} input(s)",
+            "Give one for all of them, or one each: --peak-u 2 or --peak-u 2,5.",
+        )
+    return np.array(values * (m if len(values) == 1 else 1), float)
+
+
 def read_options(request: Request, model: Model) -> Options:
     """The options of the synthesis, from the request and the model."""
     m = model.loop.plant.m
@@ -139,6 +173,6 @@ def read_options(request: Request, model: Model) -> Options:
     if request.controller_damping is not None:
         Dc = damping_matrix(np.array(request.controller_damping), m, "--controller-damping")
         options = replace(options, Dc=Dc)
-    options = request.chosen.over(options)
+    options = _with_response(request.chosen.over(options), request, m)
     check_options(options)
     return options

@@ -6,13 +6,15 @@ together.
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import re
 import time
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import sympy as sp
 
@@ -22,6 +24,7 @@ from necc_casadi.certificate.claims.certificate import Certificate
 from necc_casadi.certificate.prover.certify import certify
 from necc_casadi.designs.design import Design
 from necc_casadi.designs.outcome import Start, solver_seconds
+from necc_casadi.errors import InputError
 from necc_casadi.export.sampled_loop import SampledLoop
 from necc_casadi.files import LISTING, check_writable, write_text
 from necc_casadi.folders import whole_folder
@@ -57,15 +60,27 @@ from necc_casadi.report.landscape_figure import landscape_figure
 from necc_casadi.report.shares import sampled_share
 from necc_casadi.simulation.convergence import simulated_share
 from necc_casadi.simulation.responses import Trajectory, random_states, simulate
+from necc_casadi.synthesis.asked import Answer
 from necc_casadi.synthesis.options import Options
-from necc_casadi.synthesis.synthesis import design
+from necc_casadi.synthesis.synthesis import answered
 from necc_casadi.verdict.judge import judge
 from necc_casadi.verdict.verdict import Verdict
+
+if TYPE_CHECKING:
+    from necc_casadi.performance.measure import Performance
 
 __all__ = ["run_design"]
 
 
 _RESPONSES = 10
+
+
+#: Points of a response in the plane of two states.
+_POINTS = 251
+
+
+#: A parameter that is not known well, over the one of the model.
+_LARGER = sp.Rational(11, 10)
 
 
 #: Seconds of computing that all responses together may take.
@@ -105,13 +120,19 @@ def run_design(request: Request, say: Say) -> Findings:
 
 def _made(request: Request, task: _Task, found: Findings, folder: Path, clock: Clock) -> Findings:
     """Everything after a favourable verdict; files go into `folder`."""
-    made = _designed(task, clock)
+    answer = _designed(task, clock)
+    made = answer.design
     certificate = _certified(made, clock)
     files = _saved(made, certificate, folder)
-    motion, share = _simulated(made, clock), sampled_share(made, certificate)
-    export = _exported(request, made, certificate, folder, clock)
-    sweep = () if request.sweep_a is None else _swept(request.sweep_a, task, clock)
-    drawn = _drawn(request, made, certificate, motion.responses, sweep, folder, clock)
+    with ThreadPoolExecutor(1) as pool:  # compilers run while the loop is simulated and drawn
+        exported = pool.submit(_exported, request, made, certificate, folder, clock)
+        motion, share = _simulated(made, clock), sampled_share(made, certificate)
+        sweep = () if request.sweep_a is None else _swept(request.sweep_a, task, clock)
+        performance = _compared(request, task, made, clock) if request.compare else None
+        drawn = _drawn(
+            request, made, certificate, motion.responses, sweep, performance, folder, clock
+        )
+        export = exported.result()
     return replace(
         found,
         design=made,
@@ -120,6 +141,8 @@ def _made(request: Request, task: _Task, found: Findings, folder: Path, clock: C
         domain_share=share,
         simulated_share=motion.share,
         sampling=export.sampling,
+        asked=answer.asked,
+        performance=performance,
         sweep=sweep,
         notes=(
             *task.notes,
@@ -173,21 +196,26 @@ def _judged(request: Request, say: Say) -> _Task:
 
 def _trained(task: _Task, options: Options, say: Say) -> Design:
     """One design at the target with these options."""
+    return _answered(task, options, say).design
+
+
+def _answered(task: _Task, options: Options, say: Say) -> Answer:
+    """The same, with how far the response is what was asked."""
     outcomes: list[Start] = []
 
     def report(start: Start) -> None:
         outcomes.append(start)
         say(f"training: start {len(outcomes)} of {options.starts}, loss {start.loss:.1e}")
 
-    return design(task.model.loop, task.casimirs, task.verdict, task.x_star, options, report)
+    return answered(task.model.loop, task.casimirs, task.verdict, task.x_star, options, report)
 
 
-def _designed(task: _Task, clock: Clock) -> Design:
+def _designed(task: _Task, clock: Clock) -> Answer:
     """Train and damp."""
     with clock.stage("design", "training"):
-        made = _trained(task, task.options, clock.say)
-    clock.timings["solve"] = solver_seconds(made.starts)
-    return made
+        answer = _answered(task, task.options, clock.say)
+    clock.timings["solve"] = solver_seconds(answer.design.starts)
+    return answer
 
 
 def _certified(made: Design, clock: Clock) -> Certificate:
@@ -237,6 +265,21 @@ class _Export:
         return () if warning is None else (warning,)
 
 
+def _compared(request: Request, task: _Task, made: Design, clock: Clock) -> Performance:
+    """Measure the design beside LQR and the optimum, and on plants that differ a little."""
+    from necc_casadi.performance.measure import measure
+
+    given, values = read_parameters(request.param), task.model.params
+    with clock.stage("compare", "comparing with LQR and the optimum"):
+        others = {}
+        for name, value in values.items():
+            if value != 0:
+                changed = {**given, name: sp.sstr(value * _LARGER)}
+                with contextlib.suppress(InputError):  # no such plant: nothing to hold
+                    others[name] = load_model(request.model, changed).loop
+        return measure(made, cost=task.options.cost(made.sizes, made.loop.plant.n), others=others)
+
+
 def _exported(
     request: Request, made: Design, certificate: Certificate, out: Path, clock: Clock
 ) -> _Export:
@@ -282,6 +325,7 @@ def _drawn(
     certificate: Certificate,
     responses: Sequence[Trajectory],
     sweep: Sequence[SweepPoint],
+    performance: Performance | None,
     out: Path,
     clock: Clock,
 ) -> list[Path]:
@@ -295,11 +339,19 @@ def _drawn(
         }
         if certificate.level is not None:
             starts = region_boundary(made, certificate.level, certificate.reach)
-            inside = [simulate(made, start) for start in starts]
+            inside = [simulate(made, start, made.xi_star, points=_POINTS) for start in starts]
             figures["region"] = region_figure(made, certificate.level, inside, certificate.reach)
         landscape = landscape_figure(made, certificate)
         if landscape is not None:
             figures["landscape"] = landscape
+        if performance is not None:
+            from necc_casadi.report.comparison_figures import frequency_figure, step_figure
+
+            compared = {
+                "step": step_figure(made, performance),
+                "loop": frequency_figure(made, performance),
+            }
+            figures |= {name: figure for name, figure in compared.items() if figure is not None}
         if sweep:
             figures["sweep"] = sweep_figure(made, sweep)
         folder = out / "figures"

@@ -17,12 +17,17 @@ from necc_casadi.arrays import Vector
 from necc_casadi.certificate.claims.regions import Side
 from necc_casadi.designs.design import Design
 from necc_casadi.files import write_text
+from necc_casadi.model.sizes import input_names
 from necc_casadi.report.findings import SweepPoint
 from necc_casadi.report.slices import Window, domain_window, shadow, slice_boundary, slice_values
+from necc_casadi.report.ticks import engineering, finished, logarithmic, panels
 from necc_casadi.simulation.responses import Trajectory
 
 __all__ = [
+    "draw_limits",
     "lyapunov_figure",
+    "named_input",
+    "named_state",
     "region_boundary",
     "region_figure",
     "responses_figure",
@@ -40,6 +45,10 @@ _MOST_PANELS = 10
 #: Least and greatest value of each state on Ω; None: every value.
 Reach = Mapping[str, Side | None]
 
+#: Multiples of the median of |V − V(z̄)| beyond which a pole of the model is at work.
+_POLE = 50.0
+
+
 #: Room around the reach of Ω, as a share of it.
 _BESIDE = 0.15
 
@@ -56,14 +65,14 @@ def write_figure(figure: Figure, path: Path, dpi: int = 120) -> Path:
     """Write a PNG whole or not at all."""
     buffer = io.BytesIO()
     FigureCanvasAgg(figure)
-    figure.savefig(buffer, format="png", dpi=dpi)
+    figure.savefig(buffer, format="png", dpi=dpi, pil_kwargs={"compress_level": 4})
     return write_text(path, buffer.getvalue())
 
 
-def _label(design: Design, index: int) -> str:
+def named_state(design: Design, index: int) -> tuple[str, str]:
+    """Name and unit of a state."""
     name = design.loop.states[index]
-    unit = design.loop.plant.units.get(name)
-    return f"{name} [{unit}]" if unit else name
+    return name, design.loop.plant.units.get(name, "")
 
 
 def lyapunov_figure(design: Design) -> Figure:
@@ -72,23 +81,26 @@ def lyapunov_figure(design: Design) -> Figure:
     i, j = window.pair
     A, B, values = slice_values(design, window)
 
-    figure = Figure(figsize=(10, 4.4), layout="constrained")
+    figure = Figure(figsize=(10, 4.4))
     figure.suptitle(f"{design.loop.plant.name}: Lyapunov function at ξ = ξ*")
     surface = figure.add_subplot(1, 2, 1, projection="3d")
-    surface.plot_surface(A, B, values, cmap="viridis", linewidth=0, alpha=0.9, rcount=60, ccount=60)
-    bottom = float(np.nanmin(values, initial=0.0))
-    surface.contour(A, B, values, levels=12, zdir="z", offset=bottom, cmap="viridis")
-    surface.set_xlabel(_label(design, i))
-    surface.set_ylabel(_label(design, j))
-    surface.set_zlabel("V − V(z̄)")
+    surface.set_position((0.0, 0.03, 0.46, 0.9))
+    shown = _without_poles(values)
+    surface.plot_surface(A, B, shown, cmap="viridis", linewidth=0, alpha=0.9, rcount=40, ccount=40)
+    finished(
+        surface,
+        [("x", *named_state(design, i)), ("y", *named_state(design, j)), ("z", "V − V(z̄)", "")],
+    )
+    surface.yaxis.labelpad = 8
     surface.view_init(elev=28, azim=-60)
 
-    flat = figure.add_subplot(1, 2, 2)
-    lines = flat.contour(A, B, values, levels=_levels(values), cmap="viridis")
-    labelled = _levels(values)[2::2]  # apart from the marks
-    flat.clabel(lines, levels=labelled, fontsize=7, fmt="%.2g")
+    flat = figure.add_axes((0.56, 0.21, 0.42, 0.65))
+    lines = flat.contour(A, B, shown, levels=_levels(values), cmap="viridis")
+    if np.isfinite(shown).all():  # beside a pole, numbers would stand on one another
+        labelled = _levels(values)[2::2]  # apart from the marks
+        flat.clabel(lines, levels=labelled, fontsize=7, fmt=lambda v: engineering(v, digits=2))
     _mark_minima(design, flat, i, j)
-    figure.legend(*flat.get_legend_handles_labels(), loc="outside lower right", ncols=2, fontsize=8)
+    figure.legend(*flat.get_legend_handles_labels(), loc="lower right", ncols=2, fontsize=8)
     flat.set_title("contours of V − V(z̄)", fontsize=10)
     return figure
 
@@ -98,8 +110,7 @@ def _mark_minima(design: Design, axis: Axes, i: int, j: int) -> None:
     star, bar = design.z_star, design.z_bar
     axis.plot(star[i], star[j], "o", ms=11, mfc="none", mew=2, color=_TARGET, label="target z*")
     axis.plot(bar[i], bar[j], "+", ms=11, mew=2, color=_MINIMUM, label="minimum z̄ of V")
-    axis.set_xlabel(_label(design, i))
-    axis.set_ylabel(_label(design, j))
+    finished(axis, [("x", *named_state(design, i)), ("y", *named_state(design, j))])
 
 
 def region_boundary(
@@ -124,12 +135,13 @@ def region_boundary(
 def _window(design: Design, level: float, sides: tuple[Side, Side] | None) -> tuple[Window, Vector]:
     """A window around Ω, and Ω's shadow in it."""
     window = domain_window(design)
-    if sides is not None:
-        lo, hi = np.array(sides).T
-        room = _BESIDE * (hi - lo)
-        window = Window(window.pair, lo - room, hi + room)
-    edge = shadow(design, level, window)
-    return window.around(edge), edge
+    if sides is None:
+        edge = shadow(design, level, window)
+        return window.around(edge), edge
+    lo, hi = np.array(sides).T
+    edge = shadow(design, level, Window(window.pair, lo, hi))  # Ω is proved to stay in these
+    room = _BESIDE * (hi - lo)
+    return Window(window.pair, lo - room, hi + room).around(edge), edge
 
 
 def _telling_sides(design: Design, reach: Reach | None) -> tuple[Side, Side] | None:
@@ -154,55 +166,79 @@ def region_figure(
     window, edge = _window(design, level, _telling_sides(design, reach))
     i, j = window.pair
     A, B, values = slice_values(design, window)
-    figure = Figure(figsize=(6.4, 5.6), layout="constrained")
+    figure = panels(1, 1, (5.45, 4.1), legend=0.85)
     axis = figure.add_subplot()
-    axis.contour(A, B, values, levels=_levels(values), cmap="viridis", linewidths=0.7, alpha=0.6)
+    shown, levels = _without_poles(values), _levels(values)
+    axis.contour(A, B, shown, levels=levels, cmap="viridis", linewidths=0.7, alpha=0.6)
     axis.fill(*edge.T, color=_MINIMUM, alpha=0.10, label="Ω seen over all other states (computed)")
     axis.plot(*np.vstack([edge, edge[:1]]).T, "--", color=_MINIMUM, lw=1)
     curve = slice_boundary(design, level, window)
     if curve is not None:
         axis.fill(*curve.T, color=_MINIMUM, alpha=0.15)
         top = level - design.V(design.z_bar)
-        proved = f"proved: V − V(z̄) ≤ {top:.3g}, other states at z*"
+        proved = f"proved: V − V(z̄) ≤ {engineering(top)}, other states at z*"
         axis.plot(*curve.T, color=_MINIMUM, lw=2, label=proved)
     for index, response in enumerate(responses):
-        label = "simulated from that boundary" if index == 0 else None
+        label = f"simulated from that boundary{_leaving(responses)}" if index == 0 else None
         axis.plot(*response.z[:, [i, j]].T, lw=0.8, color=_INK, alpha=0.8, label=label)
         axis.plot(*response.z[0, [i, j]], ".", color=_INK)
     _mark_minima(design, axis, i, j)
     axis.set_xlim(window.lo[0], window.hi[0])
     axis.set_ylim(window.lo[1], window.hi[1])
-    figure.legend(loc="outside lower center", ncols=2, fontsize=8)
+    finished(axis, [("x", *named_state(design, i)), ("y", *named_state(design, j))])
+    figure.legend(loc="lower center", ncols=2, fontsize=8)
     title = f"{design.loop.plant.name}: proved region Ω"
-    axis.set_title(f"{title}\ndomain: {_extent(design)}", fontsize=10)  # Ω may be a small part
+    axis.set_title(f"{title}\ndomain: {_extent(design)}", fontsize=9)  # Ω may be a small part
     return figure
+
+
+def _leaving(responses: Sequence[Trajectory]) -> str:
+    """Why responses leave the slice, or Ω itself."""
+    left = sum(bool(np.any(r.V[0] + _ROUNDING * abs(r.V[0]) < r.V)) for r in responses)
+    if left and any(r.saturated for r in responses):
+        return f":\nu at a limit, V rises in {left}; Ω is proved for u without limits"
+    return ":\nthey leave the slice as ξ moves, never Ω"
 
 
 def _extent(design: Design) -> str:
     """The domain in words, for the two states that are shown."""
-    whole = domain_window(design)
-    sides = zip(whole.pair, whole.lo, whole.hi, strict=True)
-    return ", ".join(f"{design.loop.states[k]} from {lo:.3g} to {hi:.3g}" for k, lo, hi in sides)
+    whole, units = domain_window(design), design.loop.plant.units
+    texts = []
+    for k, lo, hi in zip(whole.pair, whole.lo, whole.hi, strict=True):
+        name = design.loop.states[k]
+        unit = units.get(name, "")
+        texts.append(f"{name} from {engineering(lo, unit)} to {engineering(hi, unit)}")
+    return ", ".join(texts)
 
 
 def _levels(values: Vector) -> Vector:
     """Contour levels that are dense near the minimum; V may be undefined in places."""
-    defined = values[np.isfinite(values)]
+    defined = _without_poles(values)
+    defined = defined[np.isfinite(defined)]
     top = float(np.quantile(defined, 0.98)) if defined.size else 0.0
     floor = float(np.min(defined, initial=0.0))
     height = top - floor if top > floor else 1.0  # where V is flat nothing is drawn
     return floor + height * np.linspace(0.03, 1.0, 13) ** 2
 
 
+def _without_poles(values: Vector) -> Vector:
+    """V − V(z̄) with nan where a pole takes it far beyond what it is elsewhere."""
+    finite = np.isfinite(values)
+    usual = float(np.median(np.abs(values[finite]))) if finite.any() else 0.0
+    shown = finite & (np.abs(values) <= _POLE * usual)
+    return np.where(shown, values, np.nan)
+
+
 def responses_figure(design: Design, trajectories: Sequence[Trajectory]) -> Figure:
     """Every state and input over time, targets dashed, and V along the responses."""
     shown = _telling_states(design, trajectories)
-    names = [_label(design, k) for k in shown]
+    names = [named_state(design, k) for k in shown]
     inputs = min(design.loop.plant.m, _MOST_PANELS)
-    panels = len(names) + inputs + 1
-    columns = min((3, 4), key=lambda number: -panels % number)  # the fewest gaps
-    rows = -(-panels // columns)
-    figure = Figure(figsize=(3.6 * columns, 2.1 * rows + 0.5), layout="constrained")
+    count = len(names) + inputs + 1
+    unsettled = any(not response.converged for response in trajectories)
+    columns = min((3, 4), key=lambda number: -count % number)  # the fewest gaps
+    rows = -(-count // columns)
+    figure = panels(rows, columns, (2.8, 1.75), legend=0.3 if unsettled else 0.0)
     total = len(design.loop.states)
     left_out = f" ({len(shown)} of {total} states)" if len(shown) < total else ""
     figure.suptitle(f"{design.loop.plant.name}: closed-loop responses, targets dashed{left_out}")
@@ -210,22 +246,23 @@ def responses_figure(design: Design, trajectories: Sequence[Trajectory]) -> Figu
     steady, _ = design.control(
         design.z_bar[: design.loop.plant.n], design.z_bar[design.loop.plant.n :]
     )
-    for k, axis in enumerate(axes[:panels]):
+    for k, axis in enumerate(axes[:count]):
         for response in trajectories:
             color = _INK if response.converged else _UNSETTLED
             values = _panel(design, response, k, shown, inputs)
             axis.plot(response.t, values, lw=0.9, color=color, alpha=0.7)
         if k < len(names):
             axis.axhline(design.z_star[shown[k]], ls="--", lw=1, color=_TARGET)
-            axis.set_ylabel(names[k])
+            finished(axis, [("y", *names[k])])
         elif k < len(names) + inputs:
             axis.axhline(steady[k - len(names)], ls="--", lw=1, color=_TARGET)
-            axis.set_ylabel(_input_label(design, k - len(names)))
+            draw_limits(axis, design, k - len(names))
+            finished(axis, [("y", *named_input(design, k - len(names)))])
         else:
             _decay_axis(axis)
         axis.grid(alpha=0.25)
-    outcomes = {response.converged for response in trajectories}
-    if False in outcomes:
+    if unsettled:
+        outcomes = {response.converged for response in trajectories}
         lines = [
             Line2D([], [], color=color, label=label)
             for settled, color, label in (
@@ -234,12 +271,12 @@ def responses_figure(design: Design, trajectories: Sequence[Trajectory]) -> Figu
             )
             if settled in outcomes
         ]
-        figure.legend(handles=lines, loc="outside lower center", ncols=2, fontsize=8)
-    for axis in axes[panels:]:
+        figure.legend(handles=lines, loc="lower center", ncols=2, fontsize=8)
+    for axis in axes[count:]:
         axis.remove()
-    for k in range(max(0, panels - columns), panels):
+    for k in range(max(0, count - columns), count):
         axes[k].tick_params(labelbottom=True)
-        axes[k].set_xlabel("time [s]")
+        finished(axes[k], [("x", "time", "s")])
     return figure
 
 
@@ -260,14 +297,26 @@ def _panel(design: Design, response: Trajectory, k: int, shown: list[int], input
     return np.maximum(response.V - response.V_bar, _ROUNDING * design.sizes.energy)
 
 
-def _input_label(design: Design, index: int) -> str:
-    name = "u" if design.loop.plant.m == 1 else f"u{index + 1}"
-    unit = design.loop.plant.units.get(name)
-    return f"{name} [{unit}]" if unit else name
+def named_input(design: Design, index: int) -> tuple[str, str]:
+    """Name and unit of an input."""
+    name = input_names(design.loop.plant.m)[index]
+    return name, design.loop.plant.units.get(name, "")
+
+
+def draw_limits(axis: Axes, design: Design, index: int) -> None:
+    """The limits of an input, where they are near what is shown."""
+    limits = design.loop.plant.u_limits
+    if limits is None:
+        return
+    low, high = axis.get_ylim()
+    for limit in limits[index]:
+        if low - (high - low) <= limit <= high + (high - low):
+            axis.axhline(limit, ls=":", lw=1, color=_UNSETTLED)
 
 
 def _decay_axis(axis: Axes) -> None:
     axis.set_yscale("log")
+    logarithmic(axis, "y")
     axis.set_ylabel("V − V(z̄)")
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import sympy as sp
 
@@ -18,6 +19,10 @@ from necc_casadi.export.sampled_loop import SampledLoop
 from necc_casadi.model.closed_loop import ClosedLoop
 from necc_casadi.simulation.responses import Trajectory
 from necc_casadi.verdict.verdict import Verdict
+
+if TYPE_CHECKING:
+    from necc_casadi.performance.measure import Performance
+    from necc_casadi.synthesis.asked import Asked
 
 __all__ = ["Findings", "SweepPoint", "attracts", "global_claim", "region_claim"]
 
@@ -57,6 +62,8 @@ class Findings:
     domain_share: float | None = None  # of random states of the domain, momenta at rest, in Ω
     simulated_share: float | None = None  # of such states, from which the loop converges
     sampling: SampledLoop | None = None
+    asked: Asked | None = None  # of the response
+    performance: Performance | None = None  # with --compare
     sweep: Sequence[SweepPoint] = ()
     notes: tuple[str, ...] = ()
     files: tuple[str, ...] = ()  # relative to the folder that was written
@@ -76,6 +83,7 @@ class Findings:
             known = self.verdict is not None and self.verdict.assignable
             return "assignable" if known else "undecided"
         certified = self.certificate is not None and self.certificate.certified
+        certified = certified and (self.asked is None or self.asked.met)
         return (
             "certified"
             if certified and natural_loss(self.design) <= ACCEPTED_LOSS

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
@@ -15,6 +16,7 @@ from necc_casadi.certificate.claims.regions import Obstacle, Region
 from necc_casadi.certificate.prover.region.landscape import Landscape
 from necc_casadi.certificate.prover.region.obstacle import search
 from necc_casadi.designs.design import Design
+from necc_casadi.report.ticks import engineering, finished, panels
 
 __all__ = ["landscape_figure"]
 
@@ -23,11 +25,15 @@ _INK, _OBSTACLE, _MINIMUM, _OTHER = "#1f4e79", "#d9730d", "#2e7d32", "#a8324a"
 
 
 #: Points of the curve, and of a side of the plane.
-_CURVE, _PLANE = 600, 161
+_CURVE, _PLANE = 401, 121
 
 
 #: Room around the region and its obstacle, and above the obstacle, as shares.
 _ROOM, _ABOVE = 0.25, 0.6
+
+
+#: A minimum of the curve this near z̄, as a share of what is shown, is z̄ itself.
+_APART = 0.02
 
 
 #: States that can be drawn.
@@ -43,10 +49,10 @@ def landscape_figure(design: Design, certificate: Certificate) -> Figure | None:
     if not isinstance(region, Region) or obstacle is None or not 1 <= len(region.kept) <= _MOST:
         return None
     picture = _Picture(design, region, obstacle, certificate.level_above_minimum or 0.0)
-    figure = Figure(figsize=(6.4, 4.6), layout="constrained")
+    figure = panels(1, 1, (5.45, 3.3), legend=0.5)
     axis = figure.add_subplot()
     (picture.curve if len(region.kept) == 1 else picture.plane)(axis)
-    figure.legend(loc="outside lower center", ncols=2, fontsize=8)
+    figure.legend(loc="lower center", ncols=2, fontsize=8)
     axis.set_title(
         f"{design.loop.plant.name}: the least V − V(z̄) over all other states", fontsize=10
     )
@@ -97,59 +103,59 @@ class _Picture:
         return np.asarray(lowest - self.design.V(self.design.z_bar), float)
 
     @cached_property
-    def _others(self) -> tuple[Vector, Vector]:
-        """Minima of w besides z̄ in the window, (k, ds), and their heights."""
+    def _others(self) -> Vector:
+        """Minima of w besides z̄ in the window, (k, ds)."""
         lo, hi = self._window
         s_bar = self.design.natural.z_bar[self._states]
         found = search(self._landscape, lo / self._unit, hi / self._unit, s_bar)
         kept = [
-            (s, w)
-            for s, _, w, index in found.points
+            s
+            for s, _, _, index in found.points
             if index == 0 and (np.abs(s - s_bar) > found.step).any()
         ]
-        places = np.array([s for s, _ in kept]).reshape(-1, len(self._unit)) * self._unit
-        heights = np.array([w for _, w in kept]) * self.design.units.energy
-        return places, heights - self.design.V(self.design.z_bar)
+        return np.array(kept).reshape(-1, len(self._unit)) * self._unit
 
-    def _label(self, k: int) -> str:
+    def _named(self, k: int) -> tuple[str, str]:
         name = self.design.loop.states[self._states[k]]
-        unit = self.design.loop.plant.units.get(name)
-        return f"{name} [{unit}]" if unit else name
+        return name, self.design.loop.plant.units.get(name, "")
 
     @property
     def _proved(self) -> str:
-        return f"proved up to V − V(z̄) = {self.height:.3g}"
+        return f"proved up to V − V(z̄) = {engineering(self.height)}"
 
     @property
     def _met(self) -> str:
         kind = self.obstacle.kind.replace("_", " ")
-        return f"obstacle: {kind}, {self.obstacle.level_above_minimum:.4g}"
+        return f"obstacle: {kind}, {engineering(self.obstacle.level_above_minimum, digits=4)}"
 
     def curve(self, axis: Axes) -> None:
         """W over one state."""
         lo, hi = self._window
         s = np.linspace(lo[0], hi[0], _CURVE)
         w = self._w(s[:, None])
-        axis.plot(s, w, color=_INK, lw=1.6)
+        top = (1 + _ABOVE) * self.obstacle.level_above_minimum
+        drawn = w.copy()
+        drawn[1:][np.abs(np.diff(w)) > top] = np.nan  # a pole is no line
+        axis.plot(s, drawn, color=_INK, lw=1.6)
         inside = self.region.covers(s[:, None] / self._unit) & (w <= self.height)
         axis.fill_between(
             s, w, self.height, where=inside.tolist(), color=_MINIMUM, alpha=0.2, label=self._proved
         )
         axis.axhline(self.height, ls="--", lw=1, color=_MINIMUM)
         if self._place is not None:
-            top = self.obstacle.level_above_minimum
-            axis.plot(self._place[0], top, "o", ms=8, color=_OBSTACLE, label=self._met)
+            height = self.obstacle.level_above_minimum
+            axis.plot(self._place[0], height, "o", ms=8, color=_OBSTACLE, label=self._met)
         star = self.design.z_bar[self._states[0]]
         axis.plot(star, 0.0, "+", ms=11, mew=2, color=_MINIMUM, label="minimum z̄ of V")
-        places, heights = self._others
-        if len(places):
-            axis.plot(places[:, 0], heights, "x", ms=8, mew=2, color=_OTHER, label="other minimum")
-        top = (1 + _ABOVE) * self.obstacle.level_above_minimum
+        low = _minima(drawn)
+        low = low[np.abs(s[low] - star) > _APART * (hi[0] - lo[0])]
+        if low.size:
+            axis.plot(s[low], w[low], "x", ms=8, mew=2, color=_OTHER, label="other minimum")
         shown = w[np.isfinite(w)]
-        axis.set_ylim(min(-0.05 * top, float(shown.min(initial=0.0)) * 1.05), top)
+        lowest = max(float(shown.min(initial=0.0)) * 1.05, -top)  # not down a pole
+        axis.set_ylim(min(-0.05 * top, lowest), top)
         axis.set_xlim(lo[0], hi[0])
-        axis.set_xlabel(self._label(0))
-        axis.set_ylabel("min V − V(z̄)")
+        finished(axis, [("x", *self._named(0)), ("y", "min V − V(z̄)", "")])
         axis.grid(alpha=0.25)
 
     def plane(self, axis: Axes) -> None:
@@ -173,10 +179,17 @@ class _Picture:
             axis.plot(*self._place, "o", ms=8, color=_OBSTACLE, label=self._met)
         star = self.design.z_bar[self._states]
         axis.plot(*star, "+", ms=11, mew=2, color=_MINIMUM, label="minimum z̄ of V")
-        places, _ = self._others
+        places = self._others
         if len(places):
             axis.plot(*places.T, "x", ms=8, mew=2, color=_OTHER, label="other minimum")
-        axis.set_xlabel(self._label(0))
-        axis.set_ylabel(self._label(1))
         axis.set_xlim(lo[0], hi[0])
         axis.set_ylim(lo[1], hi[1])
+        finished(axis, [("x", *self._named(0)), ("y", *self._named(1))])
+
+
+def _minima(w: Vector) -> npt.NDArray[np.intp]:
+    """Indices of a curve's minima; beside a gap there is none."""
+    inner = w[1:-1]
+    with np.errstate(invalid="ignore"):
+        low = (inner < w[:-2]) & (inner < w[2:])
+    return np.flatnonzero(low) + 1

@@ -23,7 +23,7 @@ __all__ = [
 ]
 
 
-_GRID = 161
+_GRID = 121
 
 
 #: Rays from z̄ along which the shadow is followed; steps to where a quadratic V would reach c.
@@ -35,6 +35,10 @@ _FARTHEST, _HALVINGS = 6, 7
 
 
 _NEWTON, _BACKTRACKS = 4, 4
+
+
+#: A step down by less than this share of V is the last one: a line in a figure is no finer.
+_FLAT = 1e-6
 
 
 #: Room around the shadow, as a share of its size.
@@ -81,6 +85,7 @@ def telling_pair(design: Design) -> tuple[int, int]:
     return min(first, second), max(first, second)
 
 
+@lru_cache(maxsize=4)
 def domain_window(design: Design) -> Window:
     """The domain in the plane of :func:`telling_pair`."""
     pair = telling_pair(design)
@@ -88,6 +93,7 @@ def domain_window(design: Design) -> Window:
     return Window(pair, lo[list(pair)], hi[list(pair)])
 
 
+@lru_cache(maxsize=4)
 def slice_values(design: Design, window: Window) -> tuple[Vector, Vector, Vector]:
     """Grid over a window and V − V(z̄) there, the other states at z*; three arrays of one shape.
 
@@ -103,6 +109,7 @@ def slice_values(design: Design, window: Window) -> tuple[Vector, Vector, Vector
     return A, B, values - design.V(design.z_bar)
 
 
+@lru_cache(maxsize=4)
 def slice_boundary(design: Design, level: float, window: Window) -> Vector | None:
     """The closed curve V = level around z̄, the other states at z*, (k, 2); None: not in sight."""
     A, B, values = slice_values(design, window)
@@ -208,10 +215,12 @@ def _lowest(design: Design, points: Vector, rest: list[int]) -> Vector:
     values = V.V(points.T)
     for _ in range(_NEWTON if rest else 0):
         g = V.gradient(points.T)[:, rest]
-        bends, axes = np.linalg.eigh(V.hessian(points.T)[:, rest][:, :, rest])
+        hessian = V.hessian(points.T)[:, rest][:, :, rest]
+        defined = np.isfinite(hessian).all(axis=(1, 2), keepdims=True)  # none at a pole
+        bends, axes = np.linalg.eigh(np.where(defined, hessian, np.eye(len(rest))))
         bends = np.maximum(np.abs(bends), 1e-6)  # downhill where V is not convex, too
         move = -np.einsum("bij,bj->bi", axes, np.einsum("bji,bj->bi", axes, g) / bends)
-        size = np.ones(count)
+        size, before = np.ones(count), values
         for _ in range(_BACKTRACKS):
             trial = points.copy()
             trial[rest] += (size[:, None] * move).T
@@ -220,4 +229,8 @@ def _lowest(design: Design, points: Vector, rest: list[int]) -> Vector:
             points = np.where(better, trial, points)
             values = np.where(better, found, values)
             size = np.where(better, 0.0, size / 2)
+            if better.all():
+                break
+        if not np.any(before - values > _FLAT * np.abs(values)):
+            break
     return points

@@ -2,19 +2,25 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+from necc_casadi.arrays import Vector
 from necc_casadi.casimirs.casimirs import Casimirs
 from necc_casadi.certificate.claims.certificate import Certificate
 from necc_casadi.designs.design import Design
 from necc_casadi.designs.measures import Measures
 from necc_casadi.designs.outcome import Start
 from necc_casadi.files import finite
+from necc_casadi.report.asked import asked_text
 from necc_casadi.report.findings import Findings
 from necc_casadi.simulation.responses import Trajectory
 from necc_casadi.symbolic.expressions import to_text
 from necc_casadi.symbolic.floats import to_float, to_floats
 from necc_casadi.verdict.verdict import Verdict
+
+if TYPE_CHECKING:
+    from necc_casadi.performance.measure import Performance, Rating
+    from necc_casadi.synthesis.asked import Asked
 
 __all__ = ["to_json"]
 
@@ -37,6 +43,10 @@ def to_json(found: Findings) -> dict[str, Any]:
         "sizes": None if found.design is None else found.design.named_sizes,
         "responses": [_response(r) for r in found.responses] or None,
         "sampling": None if found.sampling is None else vars(found.sampling),
+        "asked": None if found.asked is None else _asked(found.asked),
+        "performance": None
+        if found.performance is None
+        else _performance(found.performance, list(loop.plant.states)),
         "sweep": [vars(p) for p in found.sweep] or None,
         "notes": found.notes,
         "files": found.files,
@@ -50,6 +60,7 @@ def _design(design: Design, measures: Measures, certificate: Certificate | None)
     curvatures, spectrum = measures.curvatures.tolist(), measures.spectrum.tolist()
     return {
         "xi_star": design.xi_star.tolist(),
+        "initial_xi": design.initial_xi,
         "a": design.a,
         "a_requested": design.a_requested,
         "loss": measures.loss,
@@ -71,6 +82,51 @@ def _design(design: Design, measures: Measures, certificate: Certificate | None)
         "damping": design.damping.tolist(),
         "seed": design.seed,
         "starts": [_start(start) for start in design.starts],
+    }
+
+
+def _asked(asked: Asked) -> dict[str, Any]:
+    return {
+        "rate": asked.rate,
+        "rate_reached": asked.rate_reached,
+        "limits": None if asked.limits is None else asked.limits.tolist(),
+        "peaks": None if asked.peaks is None else asked.peaks.tolist(),
+        "met": asked.met,
+        "stopped_by": asked.stopped_by,
+        "explanation": asked_text(asked),
+    }
+
+
+def _performance(found: Performance, states: list[str]) -> dict[str, Any]:
+    def error(values: Vector | None) -> dict[str, float] | None:
+        return None if values is None else dict(zip(states, values.tolist(), strict=True))
+
+    others = {"lqr": found.lqr, "optimum": found.optimum}
+    return {
+        **_rating(found.design),
+        "cost_to_lqr": found.cost_to_lqr,
+        "starts": found.starts,
+        "beside": {name: None if r is None else _rating(r) for name, r in others.items()},
+        "errors": {
+            "disturbance": error(found.errors.disturbance),
+            "parameters": {k: error(v) for k, v in found.errors.parameters.items()},
+        },
+    }
+
+
+def _rating(rating: Rating) -> dict[str, Any]:
+    def listed(values: Vector | None) -> list[float] | None:
+        return None if values is None else [float(v) for v in values]
+
+    return {
+        "settling_time": rating.settling_time,
+        "overshoot": rating.overshoot,
+        "peak_u": listed(rating.peak_u),
+        "peak_demand": listed(rating.peak_demand),
+        "converging_share": rating.converging_share,
+        "cost_to_optimum": rating.cost_to_optimum,
+        "worst_to_optimum": rating.worst_to_optimum,
+        "margins": None if rating.margins is None else vars(rating.margins),
     }
 
 
@@ -132,4 +188,5 @@ def _response(response: Trajectory) -> dict[str, Any]:
         "z0": response.z[0].tolist(),
         "settling_time": response.settling_time,
         "peak_input": response.peak_input,
+        "saturated": response.saturated,
     }

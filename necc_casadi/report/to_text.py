@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import textwrap
+from typing import TYPE_CHECKING
 
 import numpy as np
 import sympy as sp
@@ -14,10 +15,16 @@ from necc_casadi.designs.design import Design
 from necc_casadi.designs.measures import Measures
 from necc_casadi.designs.outcome import Residual, solver_seconds
 from necc_casadi.export.sampled_loop import SampledLoop
+from necc_casadi.model.plant import Plant
+from necc_casadi.report.asked import asked_text, missed
+from necc_casadi.report.compared import comparison, error_lines
 from necc_casadi.report.findings import Findings, attracts, global_claim, region_claim
 from necc_casadi.symbolic.expressions import to_text
 from necc_casadi.symbolic.floats import to_float
 from necc_casadi.verdict.verdict import Verdict
+
+if TYPE_CHECKING:
+    from necc_casadi.performance.measure import Performance
 
 __all__ = ["percent", "rounded_down", "summary"]
 
@@ -60,6 +67,10 @@ def summary(found: Findings, width: int = _WIDTH) -> str:
         rows += _design_rows(found.design, found.measures, found.certificate)
     if found.design is not None and found.design.learned is not None:
         rows.append(("learned", _learned(found.design.learned)))
+    if found.asked is not None:
+        rows.append(("asked" if found.asked.met else "NOT met", asked_text(found.asked)))
+    if found.performance is not None:
+        rows += _compared_rows(found.performance, loop.plant)
     if found.responses:
         rows.append(("responses", _responses(found)))
     if found.sampling is not None:
@@ -99,12 +110,21 @@ def _outcome(found: Findings) -> str:
     if found.status == "certified" and certificate is not None:
         kind = "asymptotically stable" if certificate.stability == "asymptotic" else "only stable"
         return f"certified, {kind}"
+    if found.status == "fell_short" and found.asked is not None and not found.asked.met:
+        return f"fell short: {missed(found.asked)}"
     return {
         "assignable": "the target is assignable",
         "refused": "refused, with proof",
         "undecided": "undecided",
         "fell_short": "fell short: not every claim is proved",
     }[found.status]
+
+
+def _compared_rows(performance: Performance, plant: Plant) -> list[tuple[str, str]]:
+    """The table, unbroken, and what rests elsewhere."""
+    first, *lines = comparison(performance, plant)
+    rows = [("compared", _tied(first)), *(("", _tied(line)) for line in lines)]
+    return rows + [("", line) for line in error_lines(performance, plant)]
 
 
 def _target(found: Findings) -> str:
@@ -170,10 +190,11 @@ def _design_rows(
     shown = zip(design.z_bar[:_MANY], _NOTHING * design.sizes.state, strict=False)
     z_bar = ", ".join(f"{v:.6g}" if abs(v) > nothing else "0" for v, nothing in shown)
     z_bar += ", …" if len(design.z_bar) > _MANY else ""
+    begins = "ξ*" if design.initial_xi == "target" else "the minimum of V(x(0), ·)"
     return [
         (
             "design",
-            f"{xi}; loss ε = {measures.loss:.2g} at a = {design.a:.4g}; IPOPT: "
+            f"{xi}; ξ(0) = {begins}; loss ε = {measures.loss:.2g} at a = {design.a:.4g}; IPOPT: "
             f"{best.explained.meaning}, {best.iterations} iterations, "
             f"{solver_seconds(design.starts):.3f} s{starts}",
         ),
@@ -231,7 +252,9 @@ def _responses(found: Findings) -> str:
         slowest = max(r.settling_time for r in settled)
         text += f", the slowest in {slowest:.3g} s"
     peak = max(r.peak_input for r in found.responses)
-    return f"{text}; peak |u| {peak:.3g} (simulated)"
+    limited = sum(r.saturated for r in found.responses)
+    text += f"; peak |u| {peak:.3g}" + (f", at a limit in {limited}" if limited else "")
+    return f"{text} (simulated)"
 
 
 def _region_rows(found: Findings, certificate: Certificate) -> list[tuple[str, str]]:

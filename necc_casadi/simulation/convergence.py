@@ -12,6 +12,7 @@ from necc_casadi.arrays import Vector
 from necc_casadi.designs.design import Design
 from necc_casadi.interrupts import interruptible
 from necc_casadi.simulation.responses import default_horizon
+from necc_casadi.simulation.saturated import saturated_field
 
 __all__ = ["Arrivals", "bogacki_shampine", "converging", "simulated_share"]
 
@@ -51,6 +52,7 @@ class Arrivals:
 def converging(design: Design, starts: npt.ArrayLike, *, tolerance: float = 1e-4) -> Arrivals:
     """Whether the loop comes near z̄ within some default horizons, from states (B, n + nc).
 
+    Inputs stay within the limits of the model.
     All states at once, each with its own step; distances and errors in natural units.
     """
     units, design = design.units, design.natural
@@ -61,7 +63,11 @@ def converging(design: Design, starts: npt.ArrayLike, *, tolerance: float = 1e-4
     arrived = near == 0
     alive = np.flatnonzero(~arrived)
     t, h = np.zeros(len(z)), np.full(len(z), horizon / 1000)
-    field = design.lyapunov.vector_field
+    ode = saturated_field(design)
+
+    def field(states: Vector) -> Vector:
+        return np.asarray(ode(states.T), float).T
+
     slope = field(z)
     for _ in range(_MOST_STEPS * _FEW_STATES // max(_FEW_STATES, z.shape[1])):
         if alive.size == 0:

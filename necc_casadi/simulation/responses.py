@@ -14,6 +14,7 @@ import numpy.typing as npt
 from necc_casadi.arrays import Vector
 from necc_casadi.designs.design import Design
 from necc_casadi.interrupts import interruptible
+from necc_casadi.simulation.saturated import applied, saturated_field
 
 __all__ = ["Trajectory", "default_horizon", "random_states", "simulate"]
 
@@ -39,7 +40,7 @@ _RELATIVE, _ABSOLUTE = 1e-9, 1e-11
 
 
 #: A response is integrated in so many pieces, each with so many steps between two outputs at most.
-_PIECES, _MOST_STEPS = 20, 10_000
+_PIECES, _MOST_STEPS = 5, 10_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,13 +63,14 @@ class Trajectory:
 
     t: Vector  # (N,) s
     z: Vector  # (N, n + nc) plant states, then controller states
-    u: Vector  # (N, m) inputs
+    u: Vector  # (N, m) inputs, within the limits of the model
     V: Vector  # (N,) Lyapunov function
     z_bar: Vector  # (n + nc,) where it should go
     V_bar: float  # V(z̄)
     complete: bool  # False: the integrator gave up, the arrays end there
     size: Vector | float = 1.0  # (n + nc,) natural sizes, for distances
     cut: bool = False  # the time for computing was over
+    demand: Vector | None = None  # (N, m) what the law asked for; None: u
 
     @property
     def settling_time(self) -> float:
@@ -97,6 +99,11 @@ class Trajectory:
     def peak_input(self) -> float:
         """Max |u| over time and inputs."""
         return float(np.abs(self.u).max())
+
+    @property
+    def saturated(self) -> bool:
+        """Whether the law asked for more than the limits of the model."""
+        return self.demand is not None and bool(np.any(np.abs(self.demand - self.u) > 0))
 
     def csv(self, names: Sequence[str]) -> str:
         """The response as CSV with a header: t, states, inputs, V."""
@@ -140,7 +147,7 @@ def simulate(
     points: int = 501,
     patience: float = np.inf,
 ) -> Trajectory:
-    """Integrate the damped closed loop from (x0, ξ0).
+    """Integrate the damped closed loop from (x0, ξ0), u within the limits of the model.
 
     Parameters
     ----------
@@ -149,7 +156,7 @@ def simulate(
     x0
         Plant state (n,).
     xi0
-        Controller state (nc,); ξ* by default, as ``necc_init`` sets it.
+        Controller state (nc,); by default the one of the design, as ``necc_start`` sets it.
     time
         Horizon, s; by default long enough for the slowest mode.
     points
@@ -179,23 +186,24 @@ def simulate(
     """
     natural, units = design.natural, design.units
     V = natural.lyapunov
-    xi = design.xi_star if xi0 is None else np.asarray(xi0, float)
+    xi = design.xi_at_start(x0) if xi0 is None else np.asarray(xi0, float)
     z0 = np.concatenate([np.asarray(x0, float), xi]) / units.state
     horizon = default_horizon(design) if time is None else float(time)
     grid = np.linspace(0.0, horizon, points)
     states, cut = _integrated(natural, z0, grid / units.time, patience)
     n, count = V.terms.n, len(states)
-    inputs, _ = V.control_law(states[:, :n], states[:, n:])
+    demand = V.control_law(states[:, :n], states[:, n:])[0] * units.input
     return Trajectory(
         t=grid[:count],
         z=states * units.state,
-        u=inputs * units.input,
+        u=applied(design, demand),
         V=V.V(states) * units.energy,
         z_bar=design.z_bar,
         V_bar=natural.V(natural.z_bar) * units.energy,
         complete=count == points and bool(np.all(np.isfinite(states))),
         size=design.sizes.state,
         cut=cut,
+        demand=demand,
     )
 
 
@@ -230,6 +238,6 @@ def _integrator(design: Design, step: float, count: int) -> ca.Function:
         "show_eval_warnings": False,
         "disable_internal_warnings": True,
     }
-    field = {"x": z, "ode": design.lyapunov.vector_field_function(z)}
+    field = {"x": z, "ode": saturated_field(design)(z)}
     grid = (step * np.arange(1, count + 1)).tolist()
     return ca.integrator("response", "cvodes", field, 0.0, grid, options)

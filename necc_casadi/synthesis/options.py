@@ -8,10 +8,12 @@ from typing import get_args
 import numpy as np
 
 from necc_casadi.arrays import Vector
-from necc_casadi.cases import Activation, CasimirForm, PhiForm, Shape
+from necc_casadi.cases import Activation, CasimirForm, InitialXi, PhiForm, Shape
 from necc_casadi.errors import OptionError
 from necc_casadi.lyapunov.networks import MonotonePhi, Network
 from necc_casadi.lyapunov.parameterization import Form
+from necc_casadi.model.cost import QuadraticCost, bryson
+from necc_casadi.model.sizes import Sizes
 
 __all__ = ["Level", "Options", "Regulariser", "check_options", "form_of", "paper_options"]
 
@@ -51,16 +53,37 @@ class Options:
     D: Vector | None = None  # m × m
     Dc: Vector | None = None  # m × m
     least_cost: bool = False  # least quadratic cost of the linearised loop, damping included
+    rate: float | None = None  # 1/s that every mode is to exceed; with the least cost
+    peak_u: Vector | None = None  # (m,) largest |u| from random starts, with the least cost
     state_cost: Vector | None = None  # n × n, of that cost; None: Bryson's rule
     input_cost: Vector | None = None  # m × m
     convex: bool = False  # quadratic parts stiff enough to make V convex everywhere
     learn_casimir: bool = False  # a network C(z), a Casimir only approximately
     shape: Shape = "none"
     gamma: float | None = None  # of the regulariser; None: 1
+    initial_xi: InitialXi | None = None  # where ξ starts; None: what is better in simulation
     natural_units: bool = True  # train in natural units, not in the model's
     seed: int = 0
     starts: int = 1
     verbose: bool = False
+
+    @property
+    def asks_for_cost(self) -> bool:
+        """Whether V and damping are those of least cost: asked for, or by weights or a response.
+
+        A damping that was given and a V that is shaped stay as they are.
+        """
+        asked = (self.rate, self.peak_u, self.state_cost, self.input_cost)
+        fixed = self.D is not None or self.Dc is not None or self.shaping is not None
+        return (self.least_cost or any(v is not None for v in asked)) and not fixed
+
+    def cost(self, sizes: Sizes, n: int) -> QuadraticCost:
+        """The weights that were given, else Bryson's, for n plant states, in the model's units."""
+        default = bryson(sizes, n)
+        return QuadraticCost(
+            default.Q if self.state_cost is None else self.state_cost,
+            default.R if self.input_cost is None else self.input_cost,
+        )
 
     @property
     def shaping(self) -> Regulariser | Level | None:
@@ -99,6 +122,7 @@ def paper_options(m: int) -> Options:
         casimir_form="sum",
         a=0.5,
         natural_units=False,
+        initial_xi="target",
         D=5.0 * np.eye(m),
         Dc=6.0 * np.eye(m),
     )
@@ -129,6 +153,7 @@ def check_options(options: Options) -> None:
         raise OptionError(
             "usage", f"--gamma {options.gamma} is not a positive number", "Try --gamma 1."
         )
+    _check_response(options)
     if options.shaping is None:
         return
     for clash, name, remedy in (
@@ -139,6 +164,32 @@ def check_options(options: Options) -> None:
         if clash:
             raise OptionError(
                 "usage", f"--shape {options.shape} and {name} exclude each other", remedy
+            )
+
+
+def _check_response(options: Options) -> None:
+    """A rate and a peak are asked of the least-cost program, which has a form of its own."""
+    asked = [
+        name
+        for name, value in (("a rate", options.rate), ("a peak of u", options.peak_u))
+        if value is not None
+    ]
+    if not asked:
+        return
+    for clash, name in (
+        (not options.quadratic, "--paper"),
+        (options.phi != "sum", "--phi neural"),
+        (options.casimir_form == "sum", "--casimir-form sum"),
+        (options.learn_casimir, "--learn-casimir"),
+        (options.shaping is not None, "--shape"),
+        (options.D is not None or options.Dc is not None, "a given damping"),
+    ):
+        if clash:
+            raise OptionError(
+                "usage",
+                f"{asked[0]} and {name} exclude each other",
+                "Drop one: V and its damping are chosen for the response, with "
+                "Φ = H + Hc + K(c₁, …, c_r).",
             )
 
 

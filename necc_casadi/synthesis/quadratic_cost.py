@@ -11,8 +11,12 @@ so that xᵀPx is what a response costs near the target. N depends on the weight
     min  tr(P Z₀)/tr(P_LQR Σ) + shape + proximity,   ‖A‖_F ≤ √N ω,
 
 ω a few times LQR's fastest mode, Z₀ the mean of z zᵀ over starts of the domain with ξ(0) = ξ*.
-𝒟 + 𝒟ᵀ ≻ 0 makes every A Hurwitz that LaSalle's principle makes attract, so no constraint of
-stability is needed. The networks cost much to move: quadratic parts and damping carry the cost,
+With a rate α, A + αI stands in place of A in the Lyapunov equation: it has a solution P ⪰ 0 only
+where every mode decays faster than α, and the cost is that of responses times exp(αt). LQR's cost
+and modes are those of the plant with the same shift.
+
+Without, 𝒟 + 𝒟ᵀ ≻ 0 makes every A Hurwitz that LaSalle's principle makes attract, so no constraint
+of stability is needed. The networks cost much to move: quadratic parts and damping carry the cost,
 and V stays smooth away from z*.
 
 References
@@ -27,7 +31,6 @@ from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
-import scipy.linalg
 
 from necc_casadi.arrays import Vector
 from necc_casadi.designs.outcome import Start
@@ -37,15 +40,27 @@ from necc_casadi.lyapunov.networks import Network
 from necc_casadi.synthesis.lifting import Lifting
 from necc_casadi.synthesis.programs import Program
 
-__all__ = ["LinearQuadratic", "Responsive", "least_cost"]
+__all__ = ["Begin", "LinearQuadratic", "Responsive", "coupled_damping", "least_cost"]
 
 
 #: Multiples of LQR's fastest mode that the loop may have.
 _FASTEST = 6.0
 
 
+#: A norm above this share of the bound lies at it.
+_NEAR_THE_BOUND = 0.97
+
+
 #: Weight of the shape of V, and of staying where training ended.
 _SHAPE, _PROXIMITY = 1e-3, 1e-2
+
+
+#: Weight of a step away from where a solve begins.
+_STEP = 0.03
+
+
+#: Iterations of a solve that does not go far: one that succeeds takes far fewer.
+_NEARBY = 100
 
 
 #: How much more a weight of a network costs than one of a quadratic part.
@@ -81,6 +96,16 @@ class LinearQuadratic:
     starts: Vector  # (n, n) Σ: mean of (x − x*)(x − x*)ᵀ
     lqr_cost: float  # tr(P_LQR Σ)
     fastest: float  # of LQR's modes
+    rate: float = 0.0  # α, which every mode is to exceed
+
+
+@dataclass(frozen=True, eq=False)
+class Begin:
+    """Where a solve begins, other than where training ended."""
+
+    weights: Vector
+    xi_star: Vector
+    eta: Vector  # variables of the damping
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,9 +115,11 @@ class Responsive:
     weights: Vector  # (form.size,)
     xi_star: Vector  # (nc,)
     damping: Vector  # 2m × 2m
+    eta: Vector  # its variables in the program
     start: Start
     before: float  # cost of the linearised loop over LQR's, at the start
     after: float
+    at_the_bound: bool  # of ‖A‖
 
 
 def least_cost(
@@ -106,8 +133,11 @@ def least_cost(
     damping: Vector,
     seed: int,
     verbose: bool = False,
+    begin: Begin | None = None,
 ) -> Responsive | None:
     """V and 𝒟 of least cost, from a trained V and its damping; None where the loop has no cost.
+
+    None, too, where what IPOPT ends with does not decay faster than the rate.
 
     Parameters
     ----------
@@ -120,27 +150,32 @@ def least_cost(
     kappa_min
         Least curvature of the quadratic parts, natural units.
     weights, xi_star, damping
-        Where to begin.
+        Of training: what the solution is to stay near.
     seed
         That the weights were drawn with.
     verbose
         Print IPOPT's iterations.
+    begin
+        What to begin with, and not to leave by far; by default what training ended with.
     """
     loop = _Loop(lifting, aim, damping)
-    small = lifting.jets_at(weights, xi_star)
-    eta = np.zeros(loop.eta.numel())
+    at = (weights, xi_star) if begin is None else (begin.weights, begin.xi_star)
+    small = lifting.jets_at(*at)
+    eta = np.zeros(loop.eta.numel()) if begin is None else begin.eta
+    first = (at[0] - lifting.tau) / lifting.sigma
     P = loop.cost_matrix(small, eta)
     if P is None:
         return None
     w_hat = (weights - lifting.tau) / lifting.sigma
-    nlp = _Nlp(lifting, program, loop, w_hat, xi_star, kappa_min, verbose)
+    step = None if begin is None else (eta, first)
+    nlp = _Nlp(lifting, program, loop, w_hat, xi_star, kappa_min, verbose, step)
     began = time.perf_counter()
     L = np.asarray(np.linalg.cholesky(P), float)
-    solution, objective = nlp.solve(small, eta, L, w_hat)
+    solution, objective = nlp.solve(small, eta, L, first)
     seconds = time.perf_counter() - began
     found = lifting.sigma * solution.w_hat + lifting.tau
     xi = solution.small[: lifting.terms.nc]
-    made = np.asarray(loop.damping_of(solution.eta), float)
+    made = _readable(np.asarray(loop.damping_of(solution.eta), float))
     stats = nlp.solver.stats()
     start = Start(
         seed=seed,
@@ -154,9 +189,21 @@ def least_cost(
     after = loop.cost_matrix(solution.small, solution.eta)
     if after is None:
         return None
-    rounded = np.array([[float(f"{v:.3g}") for v in row] for row in made])
-    kept = rounded if dissipates(rounded) else made
-    return Responsive(found, xi, kept, start, loop.relative(P), loop.relative(after))
+    near = loop.near_the_bound(solution.small, solution.eta)
+    ratios = loop.relative(P), loop.relative(after)
+    return Responsive(found, xi, made, solution.eta, start, *ratios, near)
+
+
+def coupled_damping(trained: Vector, eta: Vector) -> Vector:
+    """𝒟 of its variables η beside the damping of training, 2m × 2m."""
+    symbols, D = _damping(trained)
+    return _readable(np.asarray(ca.Function("damping", [symbols], [D])(eta), float))
+
+
+def _readable(damping: Vector) -> Vector:
+    """Three digits of each entry, where that still dissipates."""
+    rounded = np.array([[float(f"{v:.3g}") for v in row] for row in damping])
+    return rounded if dissipates(rounded) else damping
 
 
 class _Loop:
@@ -185,15 +232,24 @@ class _Loop:
         self.damping_of = ca.Function("damping", [self.eta], [D])
 
     def cost_matrix(self, small: Vector, eta: Vector) -> Vector | None:
-        """P of the Lyapunov equation, (N, N); None where the loop does not decay."""
+        """P of the Lyapunov equation, (N, N); None where the loop does not decay at the rate."""
         A, W = (np.asarray(v, float) for v in self._matrices.call([small, eta]))
+        A = A + self.aim.rate * np.eye(len(A))
         if not np.isfinite(A).all() or np.linalg.eigvals(A).real.max() >= 0:
             return None
-        P = scipy.linalg.solve_continuous_lyapunov(A.T, -W)
+        from scipy.linalg import solve_continuous_lyapunov  # slow to import, and few runs need it
+
+        P = solve_continuous_lyapunov(A.T, -W)
         P = np.asarray((P + P.T) / 2, float)
         # a state that nothing costs has no share in P: the factor L_P must exist all the same
         P += 1e-9 * float(np.trace(P)) * np.eye(len(P))
         return P if np.linalg.eigvalsh(P)[0] > 0 else None
+
+    def near_the_bound(self, small: Vector, eta: Vector) -> bool:
+        """Whether ‖A‖ is all but as large as allowed."""
+        A = np.asarray(self._matrices.call([small, eta])[0], float)
+        allowed = np.sqrt(len(A)) * _FASTEST * self.aim.fastest
+        return bool(np.linalg.norm(A) > _NEAR_THE_BOUND * allowed)
 
     def relative(self, P: Vector) -> float:
         """tr(P Z₀) over LQR's."""
@@ -249,6 +305,7 @@ class _Nlp:
         xi_star: Vector,
         kappa_min: float,
         verbose: bool,
+        step: tuple[Vector, Vector] | None,
     ) -> None:
         self.lifting, self.program, self.loop = lifting, program, loop
         size = len(loop.size)
@@ -264,12 +321,17 @@ class _Nlp:
         nc = lifting.terms.nc
         away = ca.sumsqr((s[:nc] - ca.DM(xi_star)) / ca.DM(loop.size[-nc:]))
         objective = objective + (_PROXIMITY * (moved + away) + _DAMPING * ca.sumsqr(eta)) / 2
+        if step is not None:  # not so far that A becomes unstable
+            far = ca.sumsqr(eta - ca.DM(step[0]))
+            far += ca.dot(ca.DM(self._weight_cost()), (w - ca.DM(step[1])) ** 2)
+            objective = objective + _STEP * far / 2
         g = ca.vertcat(lifting.residuals(weights, s), equal, speed)
         self.upper = np.zeros(g.numel())
         self.lower = np.zeros(g.numel())
         self.lower[-1] = -np.inf
         self.bounds = self._bounds(kappa_min)
         options = _IPOPT | ({"ipopt.print_level": 5} if verbose else {})
+        options |= {} if step is None else {"ipopt.max_iter": _NEARBY}
         problem = {"x": ca.vertcat(s, e, eta, p, w), "f": objective, "g": g}
         self.solver = ca.nlpsol("least_cost", "ipopt", problem, options)
 
@@ -280,7 +342,8 @@ class _Nlp:
         for index, (i, j) in enumerate(self.pattern):
             L[i, j] = entries[index]
         P, n = L @ L.T, loop.n
-        balance = loop.A.T @ P + P @ loop.A + loop.W
+        shifted = loop.A + loop.aim.rate * ca.SX.eye(size)
+        balance = shifted.T @ P + P @ shifted + loop.W
         vanish = ca.vertcat(program.equalities, *[balance[i, j] for i, j in self.pattern])
         cost = ca.dot(P[:n, :n], ca.DM(loop.starts)) / loop.aim.lqr_cost
         excess = ca.sumsqr(loop.A) / (_FASTEST * loop.aim.fastest) ** 2 - size

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import cached_property
 
 import numpy as np
 import sympy as sp
 
+from necc_casadi.arrays import Vector
 from necc_casadi.casimirs.casimirs import Casimirs
 from necc_casadi.designs.design import Design
 from necc_casadi.designs.natural import damping_units, units_for, weight_units
@@ -15,15 +17,18 @@ from necc_casadi.designs.outcome import Start
 from necc_casadi.lyapunov.damping import uncoupled
 from necc_casadi.lyapunov.lyapunov import LyapunovFunction
 from necc_casadi.model.closed_loop import ClosedLoop
+from necc_casadi.performance.initial_xi import with_better_start
+from necc_casadi.synthesis.asked import Answer, answer
 from necc_casadi.synthesis.damping import choose_damping
 from necc_casadi.synthesis.learned_casimir import casimir_residual
 from necc_casadi.synthesis.options import Options
-from necc_casadi.synthesis.plan import make_plan
-from necc_casadi.synthesis.responsive import responsive
-from necc_casadi.synthesis.training import train
+from necc_casadi.synthesis.plan import Plan, make_plan
+from necc_casadi.synthesis.quadratic_cost import Responsive
+from necc_casadi.synthesis.responsive import LeastCost
+from necc_casadi.synthesis.training import Solution, train
 from necc_casadi.verdict.verdict import Verdict
 
-__all__ = ["design"]
+__all__ = ["answered", "design"]
 
 
 def design(
@@ -74,12 +79,23 @@ def design(
     >>> float(max(abs(made.z_bar - made.z_star))) < 1e-9
     True
     """
+    return answered(loop, casimirs, verdict, x_star, options, report).design
+
+
+def answered(
+    loop: ClosedLoop,
+    casimirs: Casimirs,
+    verdict: Verdict,
+    x_star: Mapping[sp.Symbol, sp.Expr],
+    options: Options | None = None,
+    report: Callable[[Start], None] | None = None,
+) -> Answer:
+    """As :func:`design`, with how far the response is what was asked."""
     options = options or Options()
     plan = make_plan(loop, casimirs, verdict, x_star, options)
-    terms, form = plan.terms, plan.form
     solution = train(
-        terms,
-        form,
+        plan.terms,
+        plan.form,
         plan.x,
         a=plan.curvature,
         scales=plan.scales,
@@ -90,43 +106,86 @@ def design(
         report=report,
         verbose=options.verbose,
     )
-    weights, z_star = solution.weights, np.concatenate([plan.x, solution.xi_star])
-    m = terms.m
-    V = LyapunovFunction(terms, form, weights, np.eye(2 * m))
-    unit = damping_units(plan.units)
-    given = (
-        None if options.D is None else options.D / unit[:m, :m],
-        None if options.Dc is None else options.Dc / unit[m:, m:],
-    )
-    damping = uncoupled(*choose_damping(V, plan.loop, z_star, *given))
-    starts, xi_star = solution.starts, solution.xi_star
-    if options.least_cost:
-        found = responsive(plan, options, solution, damping)
+    finish = _Finish(loop, verdict, x_star, options, plan, solution)
+    if options.asks_for_cost:
+        program = LeastCost(plan, options, solution, finish.damping)
+        found = answer(program, options, finish)
+    else:
+        found = Answer(finish(None), None)
+    return replace(found, design=_started(found, plan, options))
+
+
+def _started(found: Answer, plan: Plan, options: Options) -> Design:
+    """The design with the better ξ(0), where that keeps the peak that was asked for."""
+    made = found.design
+    if options.initial_xi is not None:
+        return replace(made, initial_xi=options.initial_xi)
+    better = with_better_start(made, options.cost(plan.sizes, plan.terms.n))
+    changed = better.initial_xi != made.initial_xi
+    return made if not changed or (found.asked and found.asked.limits is not None) else better
+
+
+class _Finish:
+    """From a trained V, or one of least cost, to a design in the units of the model."""
+
+    def __init__(
+        self,
+        loop: ClosedLoop,
+        verdict: Verdict,
+        x_star: Mapping[sp.Symbol, sp.Expr],
+        options: Options,
+        plan: Plan,
+        solution: Solution,
+    ) -> None:
+        self.loop, self.verdict, self.x_star = loop, verdict, x_star
+        self.options, self.plan, self.solution = options, plan, solution
+
+    @cached_property
+    def damping(self) -> Vector:
+        """𝒟 that the trained V is damped with, in training units."""
+        plan, options, m = self.plan, self.options, self.plan.terms.m
+        V = LyapunovFunction(plan.terms, plan.form, self.solution.weights, np.eye(2 * m))
+        unit = damping_units(plan.units)
+        given = (
+            None if options.D is None else options.D / unit[:m, :m],
+            None if options.Dc is None else options.Dc / unit[m:, m:],
+        )
+        z_star = np.concatenate([plan.x, self.solution.xi_star])
+        return uncoupled(*choose_damping(V, plan.loop, z_star, *given))
+
+    def __call__(self, found: Responsive | None) -> Design:
+        """The design as it is stored, with the seconds of its starts."""
+        plan, options, solution = self.plan, self.options, self.solution
+        weights, xi_star, damping = solution.weights, solution.xi_star, self.damping
+        starts = solution.starts
         if found is not None:
             weights, xi_star, damping = found.weights, found.xi_star, found.damping
             starts = (*starts, found.start)
-    stored = units_for(plan.sizes, form)
-    learned = None
-    if options.learn_casimir:
-        learned = casimir_residual(terms, form, weights, plan.natural, z_star, options.seed)
-    made = Design(
-        loop=loop,
-        casimirs=plan.in_model,
-        x_star=tuple(x_star[s] for s in loop.plant.x),
-        verdict=verdict,
-        form=form,
-        weights=weights * weight_units(form, plan.units),
-        xi_star=xi_star * plan.units.state[terms.n :],
-        damping=damping * unit,
-        a=plan.a,
-        a_requested=plan.a_requested,
-        sizes=plan.sizes,
-        units=stored,
-        curvature=plan.curvature
-        * (stored.state / plan.units.state) ** 2
-        * (plan.units.energy / stored.energy),
-        seed=options.seed,
-        starts=starts,
-        learned=learned,
-    )
-    return replace(Design.from_text(made.text), starts=starts)  # with their seconds
+        stored = units_for(plan.sizes, plan.form)
+        learned = None
+        if options.learn_casimir:
+            z_star = np.concatenate([plan.x, xi_star])
+            learned = casimir_residual(
+                plan.terms, plan.form, weights, plan.natural, z_star, options.seed
+            )
+        made = Design(
+            loop=self.loop,
+            casimirs=plan.in_model,
+            x_star=tuple(self.x_star[s] for s in self.loop.plant.x),
+            verdict=self.verdict,
+            form=plan.form,
+            weights=weights * weight_units(plan.form, plan.units),
+            xi_star=xi_star * plan.units.state[plan.terms.n :],
+            damping=damping * damping_units(plan.units),
+            a=plan.a,
+            a_requested=plan.a_requested,
+            sizes=plan.sizes,
+            units=stored,
+            curvature=plan.curvature
+            * (stored.state / plan.units.state) ** 2
+            * (plan.units.energy / stored.energy),
+            seed=options.seed,
+            starts=starts,
+            learned=learned,
+        )
+        return replace(Design.from_text(made.text), starts=starts)

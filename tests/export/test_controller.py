@@ -1,11 +1,13 @@
 """Activation functions, the start ξ(0), saturation and the self-test of the exported C."""
 
+import dataclasses
 import subprocess
 
 import numpy as np
 import pytest
 from helpers.export_cases import COMPILERS, STRICT, arm_loop, design, paper_design, pendulum_loop
 
+from necc_casadi.designs.design import Design
 from necc_casadi.export.c_project import export_c
 from necc_casadi.export.casadi2c import Real
 from necc_casadi.export.compiled import compile_controller
@@ -152,6 +154,21 @@ def test_init_at_says_when_there_is_no_minimum_and_refuses_what_is_not_finite():
     assert np.isfinite(xi).all()
     xi, flags = compiled.init_at([np.nan, 0.2])
     assert (flags, list(xi)) == (REJECTED, list(d.xi_star))
+
+
+@pytest.mark.parametrize("word", ["target", "minimum"])
+@pytest.mark.parametrize("loop", [pendulum_loop(), arm_loop()], ids=["pendulum", "arm"])
+def test_xi_starts_in_c_where_the_design_says(loop, word):
+    d = dataclasses.replace(confining(loop), initial_xi=word)
+    assert Design.from_text(d.text).initial_xi == word
+    compiled = compile_controller(d, flags=STRICT)
+    rng = np.random.default_rng(3)
+    for _ in range(10):
+        x0 = rng.uniform(-2, 2, compiled.n)
+        xi, flags = compiled.start(x0)
+        assert flags == 0
+        np.testing.assert_allclose(xi, d.xi_at_start(x0), atol=1e-9)
+        assert np.array_equal(xi, d.xi_star) == (word == "target")
 
 
 @pytest.mark.parametrize("limits", [((-0.5, 0.75),), ((float("-inf"), 0.25),)])

@@ -124,3 +124,21 @@ def test_a_structure_that_nobody_offered_is_a_usage_error(motor, tmp_path):
     code, text, err = design(PENDULUM, "--target", "pi/4", "--structure", "resonator", "--json")
     check_refusal((code, text, err), "usage", "resonator")
     assert "Offered here: none." in err
+
+
+def test_a_settling_time_asks_for_a_rate(tmp_path):
+    """exp(−4) is 1.8 %."""
+    model = load_model(PENDULUM)
+    options = read_options(Request(PENDULUM, tmp_path, settle=0.5), model)
+    assert options.rate == 8.0
+    assert options.asks_for_cost
+
+
+def test_one_peak_is_that_of_every_input_and_others_are_refused(tmp_path):
+    model = load_model(PENDULUM)
+    assert read_options(Request(PENDULUM, tmp_path, peak_u=(2.0,)), model).peak_u.tolist() == [2.0]
+    for wrong in ((1.0, 2.0), (-1.0,), (0.0,)):
+        with pytest.raises(OptionError, match="--peak-u"):
+            read_options(Request(PENDULUM, tmp_path, peak_u=wrong), model)
+    with pytest.raises(OptionError, match="both ask for a speed"):
+        read_options(Request(PENDULUM, tmp_path, rate=1.0, settle=1.0), model)

@@ -5,10 +5,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from helpers.problems import problem, solve
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from necc_casadi.certificate.prover.certify import certify
+from necc_casadi.model.model_file import load_model
 from necc_casadi.report import figures
+from necc_casadi.report.landscape_figure import landscape_figure
 from necc_casadi.report.slices import telling_pair
 from necc_casadi.simulation.responses import random_states, simulate
 
@@ -105,8 +108,41 @@ def test_the_region_is_drawn_large_with_its_slice_and_its_shadow(default_design)
         low, high = np.transpose([axis.get_xlim(), axis.get_ylim()])
         assert (np.ptp(curve, axis=0) > 0.3 * (high - low)).all()
         assert ((low <= curve) & (curve <= high)).all()
-        assert axis.get_title().endswith("domain: q from -1.21 to 2.79, p from -1.68 to 1.68")
+        assert axis.get_title().endswith(
+            "from −1.21 rad to 2.79 rad, p from −1.68 kg m²/s to 1.68 kg m²/s"
+        )
         assert drawn(figure).startswith(b"\x89PNG")
+
+
+POLE = """
+import sympy as sp
+q, p = sp.symbols("q p", real=True)
+x = (q, p)
+J = sp.Matrix([[0, 1], [-1, 0]])
+R = sp.zeros(2, 2)
+G = sp.Matrix([0, 1])
+H = p**2 / 2 + q**2 / 2 + 1 / (4 - q)
+domain = {q: (-3, 5)}
+"""
+
+
+def test_a_pole_in_the_domain_is_left_out_of_every_figure(tmp_path):
+    """V is infinite at q = 4: Ω ends before, and its shadow does not jump across."""
+    (tmp_path / "pole.py").write_text(POLE, encoding="utf-8")
+    made = solve(problem(load_model(tmp_path / "pole.py"), "q=1"))
+    certificate = certify(made)
+    flat = figures.lyapunov_figure(made).axes[1]
+    assert np.isfinite(np.concatenate([c.levels for c in flat.collections])).all()
+    starts = figures.region_boundary(made, certificate.level, certificate.reach)
+    inside = [simulate(made, x, made.xi_star, points=51) for x in starts]
+    figure = figures.region_figure(made, certificate.level, inside, certificate.reach)
+    (axis,) = figure.axes
+    edge = next(patch for patch in axis.patches if "seen over" in patch.get_label())
+    assert edge.get_xy()[:, 0].max() < 4
+    pictures = [figure, figures.lyapunov_figure(made), figures.responses_figure(made, inside)]
+    pictures.append(landscape_figure(made, certificate))
+    for picture in pictures:
+        assert drawn(picture).startswith(b"\x89PNG")
 
 
 def sweep(proved=(0.3, 0.2, 0.1), simulated=(1.0, 1.0, 0.9)):
@@ -157,9 +193,7 @@ def test_where_no_region_is_proved_a_cross_says_so(default_design):
     figure = figures.sweep_figure(default_design, sweep((0.3, None, 0.1), (None, 1.0, 1.0)))
     lines = lines_of(figure.axes[1])
     np.testing.assert_array_equal(lines["no region proved"], [[0.5, 0.0]])
-    (proved,) = (
-        xy for label, xy in lines.items() if "proved region" in label and "no " not in label
-    )
+    (proved,) = (xy for label, xy in lines.items() if "in the proved" in label)
     assert list(np.isnan(proved[:, 1])) == [False, True, False]
     assert drawn(figure).startswith(b"\x89PNG")
     nothing = figures.sweep_figure(default_design, sweep((None,) * 3, (None,) * 3))

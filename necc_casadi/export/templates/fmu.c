@@ -52,7 +52,7 @@ static void set_defaults(instance *self)
 {
     static const necc_real x[NECC_NX] = {@x_star@};
     memcpy(self->x, x, sizeof x);
-    self->start_at_minimum = 1;
+    self->start_at_minimum = @start_at_minimum@;
     self->flags = NECC_OK;
     necc_init(&self->state);
 }

@@ -47,7 +47,7 @@ int main(int argc, char **argv)
     int i, flags = NECC_OK;
     for (i = 0; i < NECC_NX && i + 2 < argc; ++i)
         x[i] = (necc_real)strtod(argv[i + 2], NULL);
-    necc_init_at(&state, x);
+    necc_start(&state, x);
     printf("@columns@\n");
     for (step = 0; step < steps; ++step) {
         const necc_state before = state;

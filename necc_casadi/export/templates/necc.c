@@ -72,6 +72,11 @@ void necc_init(necc_state *state)
 }
 
 @init_at@
+int necc_start(necc_state *state, const necc_real x0[NECC_NX])
+{
+@start@
+}
+
 int necc_step(necc_state *state, const necc_real x[NECC_NX], necc_real u[NECC_NU], necc_real dt)
 {
     necc_real v[NECC_NU], next[NECC_NXI];

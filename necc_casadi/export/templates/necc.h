@@ -50,6 +50,9 @@ void necc_init(necc_state *state);
  * Not finite x0: as necc_init, and NECC_REJECTED. */
 int necc_init_at(necc_state *state, const necc_real x0[NECC_NX]);
 
+/* xi(0) of this design for the first measurement x0: @start_text@. */
+int necc_start(necc_state *state, const necc_real x0[NECC_NX]);
+
 /* The control law, not saturated, and the controller's dynamics at (x, xi); pure. */
 void necc_control(const necc_real x[NECC_NX], const necc_real xi[NECC_NXI],
                   necc_real u[NECC_NU], necc_real xidot[NECC_NXI]);

@@ -1,0 +1,180 @@
+"""A design beside LQR and the optimum: a step of the set-point, and the loop in frequency."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from necc_casadi.arrays import Vector
+from necc_casadi.designs.design import Design
+from necc_casadi.performance.margins import Sweep
+from necc_casadi.performance.measure import Curve, Loop, Performance
+from necc_casadi.report.figures import draw_limits, named_input, named_state
+from necc_casadi.report.ticks import engineering, finished, logarithmic
+
+__all__ = ["frequency_figure", "step_figure"]
+
+
+#: Colour and line of each controller.
+_STYLE: dict[str, dict[str, Any]] = {
+    "this design": {"color": "#1f4e79", "lw": 1.8},
+    "LQR": {"color": "#d9730d", "lw": 1.3, "ls": "--"},
+    "optimum": {"color": "#2e7d32", "lw": 1.3, "ls": ":"},
+}
+
+
+#: States and inputs that are drawn at most.
+_MOST_STATES, _MOST_INPUTS = 6, 3
+
+
+#: Decades of |L| that are shown beside 1, and how far beyond the crossings.
+_DECADES, _BEYOND = 2.5, 30.0
+
+
+def step_figure(design: Design, found: Performance) -> Figure | None:
+    """States and inputs from one size below the target, beside LQR and the optimum."""
+    if not found.step:
+        return None
+    n = design.loop.plant.n
+    states = _telling(found.step, design)
+    inputs = range(min(design.loop.plant.m, _MOST_INPUTS))
+    panels = len(states) + len(inputs)
+    columns = min(3, panels)
+    rows = -(-panels // columns)
+    figure = Figure(figsize=(3.8 * columns, 2.4 * rows + 0.9), layout="constrained")
+    axes = figure.subplots(rows, columns, squeeze=False).ravel()
+    for k, axis in zip(states, axes, strict=False):
+        _panel(axis, [(c, c.x[:, k]) for c in found.step], float(design.z_star[k]))
+        finished(axis, [("x", "time", "s"), ("y", *named_state(design, k))])
+    held = design.control(design.z_star[:n], design.xi_star)[0]
+    for k, axis in zip(inputs, axes[len(states) :], strict=False):
+        _panel(axis, [(c, c.u[:, k]) for c in found.step], float(held[k]))
+        draw_limits(axis, design, k)
+        finished(axis, [("x", "time", "s"), ("y", *named_input(design, k))])
+    for axis in axes[panels:]:
+        axis.remove()
+    handles, labels = axes[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=3, fontsize=8)
+    left_out = "" if len(states) == n else f", {len(states)} of {n} states"
+    figure.suptitle(
+        f"{design.loop.plant.name}: from one size below the target{left_out}", fontsize=11
+    )
+    return figure
+
+
+def _panel(axis: Axes, curves: Sequence[tuple[Curve, Vector]], target: float) -> None:
+    for curve, values in curves:
+        axis.plot(curve.t, values, label=curve.name, **_STYLE[curve.name])
+    axis.axhline(target, color="0.5", lw=0.8)
+    axis.set_xlim(0, _settled([curve for curve, _ in curves]))
+    axis.grid(alpha=0.25)
+
+
+def _settled(curves: Sequence[Curve]) -> float:
+    """A time at which all of them have come to rest, with some room."""
+    ends = []
+    for curve in curves:
+        away = np.abs(curve.x - curve.x[-1])
+        largest = np.maximum(away.max(axis=0), np.finfo(float).tiny)
+        moving = np.flatnonzero((away / largest).max(axis=1) > 0.01)
+        if np.isfinite(away).all() and moving.size:
+            ends.append(float(curve.t[moving[-1]]))
+    return 1.2 * max(ends, default=float(curves[0].t[-1]))
+
+
+def _telling(curves: Sequence[Curve], design: Design) -> list[int]:
+    """All states where they fit, else those that travel farthest."""
+    n = design.loop.plant.n
+    travel = np.nanmax([np.ptp(c.x / design.sizes.state[:n], axis=0) for c in curves], axis=0)
+    return sorted(int(k) for k in np.argsort(-travel)[:_MOST_STATES])
+
+
+def frequency_figure(design: Design, found: Performance) -> Figure | None:
+    """Bode's and Nyquist's diagrams of the loop opened at each input, the others closed."""
+    if not found.loops:
+        return None
+    m = min(design.loop.plant.m, _MOST_INPUTS)
+    figure = Figure(figsize=(9.6, 4.2 * m + 0.5), layout="constrained")
+    for k in range(m):
+        sides = figure.add_gridspec(m, 1)[k].subgridspec(2, 2, width_ratios=(3, 2))
+        gain = figure.add_subplot(sides[0, 0])
+        phase = figure.add_subplot(sides[1, 0], sharex=gain)
+        plane = figure.add_subplot(sides[:, 1])
+        for loop in found.loops:
+            _bode(gain, phase, loop.name, loop.inputs[k])
+            plane.plot(*_plane(loop.inputs[k]), label=_margin_text(loop), **_STYLE[loop.name])
+        _frame(gain, phase, [loop.inputs[k] for loop in found.loops])
+        gain.set_title(f"L with the loop broken at {named_input(design, k)[0]}", fontsize=10)
+        _nyquist(plane)
+    handles, labels = plane.get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", fontsize=8)
+    figure.suptitle(f"{design.loop.plant.name}: loop at the plant's input", fontsize=11)
+    return figure
+
+
+def _bode(gain: Axes, phase: Axes, name: str, sweep: Sweep) -> None:
+    gain.loglog(sweep.w, np.abs(sweep.L), **_STYLE[name])
+    angle = np.degrees(np.unwrap(np.angle(sweep.L)))
+    crossing = int(np.argmin(np.abs(np.log(np.abs(sweep.L) + np.finfo(float).tiny))))
+    angle -= 360 * np.round((angle[crossing] + 90) / 360)  # near −90° where it matters
+    phase.semilogx(sweep.w, angle, **_STYLE[name])
+
+
+def _frame(gain: Axes, phase: Axes, sweeps: Sequence[Sweep]) -> None:
+    low, high = [], []
+    for sweep in sweeps:
+        near = np.flatnonzero(np.abs(np.log10(np.abs(sweep.L) + np.finfo(float).tiny)) < 1.5)
+        picked = sweep.w[near] if near.size else sweep.w
+        low.append(float(picked[0]))
+        high.append(float(picked[-1]))
+    gain.set_xlim(min(low) / 3, max(high) * 3)
+    gain.set_ylim(10**-_DECADES, 10**_DECADES)
+    gain.axhline(1, color="0.5", lw=0.8)
+    phase.axhline(-180, color="0.5", lw=0.8)
+    logarithmic(gain, "y")
+    logarithmic(phase, "x")
+    gain.set_ylabel("|L|")
+    gain.tick_params(labelbottom=False)
+    phase.set_ylabel("phase [°]")
+    phase.set_yticks(_angles(phase))
+    phase.set_xlabel("frequency [rad/s]")
+    for axis in (gain, phase):
+        axis.grid(alpha=0.25)
+
+
+def _angles(phase: Axes) -> Vector:
+    """Multiples of 90° within what is shown."""
+    low, high = phase.get_ylim()
+    step = 90 if high - low < 720 else 360
+    return np.asarray(np.arange(step * np.ceil(low / step), high + 1, step), float)
+
+
+def _plane(sweep: Sweep) -> tuple[Vector, Vector]:
+    """L(jω) where it is not far from the origin."""
+    shown = np.where(np.abs(sweep.L) < _BEYOND, sweep.L, np.nan)
+    return np.real(shown), np.imag(shown)
+
+
+def _nyquist(plane: Axes) -> None:
+    circle = np.exp(1j * np.linspace(0, 2 * np.pi, 181))
+    plane.plot(circle.real, circle.imag, color="0.7", lw=0.8)
+    plane.plot(-1, 0, "+", color="#a8324a", ms=10, mew=2)
+    plane.set_xlim(-3, 2)
+    plane.set_ylim(-3, 2)
+    plane.set_aspect("equal")
+    plane.grid(alpha=0.25)
+    plane.set_xlabel("Re L")
+    plane.set_ylabel("Im L")
+
+
+def _margin_text(loop: Loop) -> str:
+    m = loop.margins
+    gain = "∞" if np.isinf(m.gain) else f"{m.gain:.2g}"
+    return (
+        f"{loop.name}: phase margin {m.phase_deg:.0f}°, gain {m.gain_down:.2g} … {gain}, "
+        f"disk {m.disk:.2f}, delay {engineering(m.delay, 's')}"
+    )

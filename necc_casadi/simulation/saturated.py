@@ -1,0 +1,37 @@
+"""The loop as it is built: the plant gets u within its limits, ξ moves by x alone."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import casadi as ca
+import numpy as np
+
+from necc_casadi.arrays import Vector
+from necc_casadi.designs.design import Design
+
+__all__ = ["applied", "saturated_field"]
+
+
+def applied(design: Design, u: Vector) -> Vector:
+    """Inputs (…, m) within the limits of the model, in its units."""
+    limits = design.loop.plant.u_limits
+    if limits is None:
+        return u
+    low, high = np.array(limits, float).T
+    return np.asarray(np.clip(u, low, high), float)
+
+
+@lru_cache(maxsize=4)
+def saturated_field(design: Design) -> ca.Function:
+    """Z -> ż with u clipped; where the model has no limits, the loop that the proofs are about."""
+    V, limits = design.lyapunov, design.loop.plant.u_limits
+    if limits is None:
+        return V.vector_field_function
+    terms, (low, high) = V.terms, np.array(limits, float).T
+    z = ca.MX.sym("z", terms.n + terms.nc)
+    x, xi = z[: terms.n], z[terms.n :]
+    u, xi_dot = V.control_law_function.call([x, xi])
+    held = ca.fmin(ca.fmax(u, ca.DM(low)), ca.DM(high))
+    x_dot = terms.F(x) @ terms.grad_H(x) + terms.G(x) @ held
+    return ca.Function("saturated", [z], [ca.vertcat(x_dot, xi_dot)], ["z"], ["z_dot"])
