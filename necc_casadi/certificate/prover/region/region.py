@@ -29,9 +29,9 @@ from necc_casadi.certificate.prover.region.proof import RegionProof
 
 __all__ = ["prove_region", "prove_region_within_limits"]
 
-#: Heights above V(z̄) at which input limits are tried: shares of the whole, smallest first; where
+#: Heights above V(z̄) at which input limits are tried: shares of the whole, the largest first; where
 #: nothing ends the region, multiples of the natural unit of energy.
-_SHARES = tuple(2.0**-k for k in range(12, -1, -1))
+_SHARES = tuple(8.0**-k for k in range(6))
 _HEIGHTS = tuple(2.0**k for k in range(-12, 21))
 #: Halvings between the last height at which u keeps its limits and the first at which it does not.
 _HALVINGS = 3
@@ -84,21 +84,25 @@ class ComponentProof(RegionProof):
         return self._largest(self.held_below) if clipping_is_covered(design) else None
 
     def _largest(self, below: Callable[[float], float | None]) -> float | None:
+        """The largest level that is found by boxes for a few levels, from the whole one down."""
         best: float | None = None
-        low, high = 0.0, 1.0
+        high = 1.0
         for share in _SHARES:
             found = below(self._level(share))
             best = _larger(best, found)
-            if found is None or found < self._level(share):
-                high = share
+            if found is not None:
                 break
-            low = share
-        for _ in range(_HALVINGS if low < high else 0):
-            middle = (low + high) / 2
+            high = share
+        for _ in range(_HALVINGS):
+            if best is None or best >= self._level(high):
+                break
+            # boxes for a level that is nearer are tighter
+            low = (best - self.bottom) / (self.component.level - self.bottom)
+            middle = float(np.sqrt(low * high))
             found = below(self._level(middle))
             best = _larger(best, found)
-            whole = found is not None and found >= self._level(middle)
-            low, high = (middle, high) if whole else (low, middle)
+            if found is None or found < self._level(middle):
+                high = middle
         return best
 
     def _level(self, share: float) -> float:
