@@ -38,6 +38,7 @@ from necc_casadi.synthesis.potential_free import (
 from necc_casadi.synthesis.sample_box import sample_box
 from necc_casadi.synthesis.shaping import Shaping, make_shaping
 from necc_casadi.synthesis.training import STIFFER, Anchor, Penalty
+from necc_casadi.synthesis.uniqueness import kappa_of_one_minimum, may_hold_everywhere
 from necc_casadi.verdict.verdict import Verdict
 
 __all__ = ["Plan", "make_plan"]
@@ -46,6 +47,9 @@ __all__ = ["Plan", "make_plan"]
 _LEARNED_HIDDEN = (32,)
 #: Curvature asked for by default in natural units, and at most as a share of the ceiling there.
 _DEFAULT_A, _OF_CEILING = 0.5, 0.5
+#: Quadratic parts of a V with one critical point start this much above their lower bound, so that
+#: the damping and they may both be moved by the cost.
+_WHOLE_STIFFER = 1.5
 #: Share of the ceiling a_max that is asked for when the request lies beyond it.
 _BELOW_CEILING = 0.9
 
@@ -163,14 +167,24 @@ def _anchor(plan: Plan, verdict: Verdict, options: Options) -> Anchor:
     if plain and is_potential_free(plan.loop, plan.casimirs):
         guess = best_coordinates(plan.terms, plan.x, anchor.xi, plan.natural)
         anchor = Anchor(guess, pull=HELD_XI, stiffness=POTENTIAL_FREE_STIFFNESS)
-    if options.convex:
-        momenta = find_momenta(plan.loop, plan.casimirs, plan.x_star)
-        kappa = least_kappa(
-            plan.terms, plan.scales, verdict, plan.x, anchor.xi, plan.curvature, momenta
-        )
-        stiff = (STIFFER * kappa,) * len(form.networks) if kappa > KAPPA_MIN else anchor.stiffness
+    if options.convex or options.whole:
+        kappa = _least_stiffness(plan, verdict, options)
+        start = STIFFER if options.convex else _WHOLE_STIFFER
+        stiff = (start * kappa,) * len(form.networks) if kappa > KAPPA_MIN else anchor.stiffness
         anchor = replace(anchor, kappa_min=kappa, stiffness=stiff)
     return anchor
+
+
+def _least_stiffness(plan: Plan, verdict: Verdict, options: Options) -> float:
+    """The least κ for a V that is convex everywhere, or has one critical point."""
+    momenta = find_momenta(plan.loop, plan.casimirs, plan.x_star)
+    at = (plan.terms, plan.scales, verdict, plan.x, plan.anchor.xi)
+    if options.convex:
+        return least_kappa(*at, plan.curvature, momenta)
+    if not may_hold_everywhere(plan.loop, plan.casimirs):
+        return KAPPA_MIN
+    radian = 1 / plan.units.state
+    return kappa_of_one_minimum(*at, radian, momenta) or KAPPA_MIN
 
 
 def _shaping(plan: Plan, options: Options) -> Shaping | None:
