@@ -25,6 +25,7 @@ ORDER = (
     ("simulation", "export", "certificate"),
     ("performance",),
     ("synthesis",),
+    ("choice",),
     ("report",),
     ("pipeline",),
     ("cli",),

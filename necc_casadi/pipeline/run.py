@@ -54,7 +54,7 @@ from necc_casadi.report.figures import (
 )
 from necc_casadi.report.findings import Findings, SweepPoint
 from necc_casadi.report.landscape_figure import landscape_figure
-from necc_casadi.report.shares import sampled_share
+from necc_casadi.performance.shares import sampled_share
 from necc_casadi.simulation.convergence import simulated_share
 from necc_casadi.simulation.responses import Trajectory, random_states, simulate
 from necc_casadi.synthesis.options import Options

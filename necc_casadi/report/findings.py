@@ -12,7 +12,7 @@ from necc_casadi.casimirs.casimirs import Casimirs
 from necc_casadi.certificate.claims.certificate import Certificate
 from necc_casadi.certificate.claims.claim import Claim
 from necc_casadi.designs.design import Design
-from necc_casadi.designs.error_bound import natural_loss
+from necc_casadi.designs.error_bound import ACCEPTED_LOSS, natural_loss
 from necc_casadi.designs.measures import Measures, measure
 from necc_casadi.export.sampled_loop import SampledLoop
 from necc_casadi.model.closed_loop import ClosedLoop
@@ -20,10 +20,6 @@ from necc_casadi.simulation.responses import Trajectory
 from necc_casadi.verdict.verdict import Verdict
 
 __all__ = ["Findings", "SweepPoint", "attracts", "global_claim", "region_claim"]
-
-
-#: A design whose ε, in natural units, is above this fell short, whatever else is proved.
-ACCEPTED_LOSS = 1e-6
 
 
 @dataclass(frozen=True)

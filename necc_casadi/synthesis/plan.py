@@ -41,7 +41,7 @@ from necc_casadi.synthesis.training import STIFFER, Anchor, Penalty
 from necc_casadi.synthesis.uniqueness import kappa_of_one_minimum, may_hold_everywhere
 from necc_casadi.verdict.verdict import Verdict
 
-__all__ = ["Plan", "make_plan"]
+__all__ = ["Plan", "make_plan", "whole_space_stiffness"]
 
 #: Hidden layer of a learned Casimir: small enough for exact second derivatives.
 _LEARNED_HIDDEN = (32,)
@@ -61,6 +61,7 @@ class Plan:
     loop: ClosedLoop
     casimirs: Casimirs  # those that V is made of: smooth at x*, or what stands in for them
     in_model: Casimirs  # the same in the units of the model
+    verdict: Verdict
     terms: Terms
     form: Form
     x_star: tuple[sp.Expr, ...]  # (n,)
@@ -120,6 +121,7 @@ def make_plan(
         loop=scaled,
         casimirs=casimirs,
         in_model=in_model,
+        verdict=verdict,
         terms=terms,
         form=form,
         x_star=tuple(x_star[s] / size for s, size in zip(loop.plant.x, state, strict=False)),
@@ -133,7 +135,7 @@ def make_plan(
         anchor=Anchor(guess / units.state[terms.n :]),
         extra=None,
     )
-    plan = replace(plan, anchor=_anchor(plan, verdict, options))
+    plan = replace(plan, anchor=_anchor(plan, options))
     if options.learn_casimir:
         penalty = casimir_penalty(terms, form, natural, plan.z, options.seed)
         return replace(plan, extra=penalty)
@@ -160,7 +162,7 @@ def _curvature(
     return a, a, share * sizes.measured_in(units).stiffness
 
 
-def _anchor(plan: Plan, verdict: Verdict, options: Options) -> Anchor:
+def _anchor(plan: Plan, options: Options) -> Anchor:
     """Where training starts, and how stiff the quadratic parts are there."""
     anchor, form = plan.anchor, plan.form
     plain = options.quadratic and form.phi is None and not form.betas
@@ -168,23 +170,31 @@ def _anchor(plan: Plan, verdict: Verdict, options: Options) -> Anchor:
         guess = best_coordinates(plan.terms, plan.x, anchor.xi, plan.natural)
         anchor = Anchor(guess, pull=HELD_XI, stiffness=POTENTIAL_FREE_STIFFNESS)
     if options.convex or options.whole:
-        kappa = _least_stiffness(plan, verdict, options)
+        kappa = _least_stiffness(plan, options)
         start = STIFFER if options.convex else _WHOLE_STIFFER
         stiff = (start * kappa,) * len(form.networks) if kappa > KAPPA_MIN else anchor.stiffness
         anchor = replace(anchor, kappa_min=kappa, stiffness=stiff)
     return anchor
 
 
-def _least_stiffness(plan: Plan, verdict: Verdict, options: Options) -> float:
+def _least_stiffness(plan: Plan, options: Options) -> float:
     """The least κ for a V that is convex everywhere, or has one critical point."""
+    if not options.convex:
+        return whole_space_stiffness(plan) or KAPPA_MIN
     momenta = find_momenta(plan.loop, plan.casimirs, plan.x_star)
-    at = (plan.terms, plan.scales, verdict, plan.x, plan.anchor.xi)
-    if options.convex:
-        return least_kappa(*at, plan.curvature, momenta)
+    at = (plan.terms, plan.scales, plan.verdict, plan.x, plan.anchor.xi)
+    return least_kappa(*at, plan.curvature, momenta)
+
+
+def whole_space_stiffness(plan: Plan) -> float | None:
+    """The least κ for a V with one critical point, natural units; None where none is enough."""
     if not may_hold_everywhere(plan.loop, plan.casimirs):
-        return KAPPA_MIN
+        return None
+    momenta = find_momenta(plan.loop, plan.casimirs, plan.x_star)
     radian = 1 / plan.units.state
-    return kappa_of_one_minimum(*at, radian, momenta) or KAPPA_MIN
+    return kappa_of_one_minimum(
+        plan.terms, plan.scales, plan.verdict, plan.x, plan.anchor.xi, radian, momenta
+    )
 
 
 def _shaping(plan: Plan, options: Options) -> Shaping | None:

@@ -129,4 +129,4 @@ def design(
         starts=starts,
         learned=learned,
     )
-    return replace(Design.from_text(made.text), starts=solution.starts)  # with their seconds
+    return replace(Design.from_text(made.text), starts=starts)  # with their seconds

@@ -1,0 +1,301 @@
+"""From a judged target to the design that is kept, of those that the plant allows.
+
+1. *whole space*: quadratic parts of least stiffness for which V has one critical point, then the
+   least quadratic cost with no less stiffness;
+2. *least cost*: the least quadratic cost alone;
+3. *default*: neither.
+
+A candidate is made only while one before it may be beaten. Effort is counted in iterations and
+steps, never in seconds: what is kept is a function of the input.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+
+import sympy as sp
+
+from necc_casadi.arrays import Vector
+from necc_casadi.casimirs.casimirs import Casimirs
+from necc_casadi.certificate.claims.certificate import Certificate
+from necc_casadi.certificate.prover.certify import certify
+from necc_casadi.choice.decide import NEAR, Passed, decide
+from necc_casadi.choice.judged import Judged, Name, cost_ratio
+from necc_casadi.designs.design import Design
+from necc_casadi.designs.outcome import Start, solver_seconds
+from necc_casadi.model.closed_loop import ClosedLoop
+from necc_casadi.model.cost import QuadraticCost, bryson
+from necc_casadi.performance.other_minima import LowerMinimum, lower_minimum
+from necc_casadi.performance.saturated import Saturated, lqr_costs, saturated
+from necc_casadi.performance.shares import plant_share
+from necc_casadi.synthesis.options import Options
+from necc_casadi.synthesis.plan import make_plan, whole_space_stiffness
+from necc_casadi.synthesis.synthesis import design
+from necc_casadi.verdict.verdict import Verdict
+
+__all__ = ["Choice", "choose"]
+
+
+#: A whole-space design that costs no more than this multiple of LQR's cost leaves nothing to win.
+_NEAR_LQR = 1.05
+
+
+#: Hears what is being done.
+_Say = Callable[[str], None]
+
+
+@dataclass(frozen=True, eq=False)
+class Choice:
+    """The design that is kept, with its certificate, and why it is.
+
+    Examples
+    --------
+    >>> from necc_casadi import choose, find_casimirs, judge, load_model, parse_target
+    >>> loop = load_model("pendulum.py").loop
+    >>> x_star = parse_target(loop.plant, "pi/4")
+    >>> casimirs = find_casimirs(loop)
+    >>> choice = choose(loop, casimirs, judge(loop, casimirs, x_star), x_star)
+    >>> choice.kept.name, choice.certificate.is_global
+    ('whole space', True)
+    """
+
+    kept: Judged
+    others: tuple[Judged, ...]  # that were made
+    passed: tuple[Passed, ...]  # why not these
+    lower: LowerMinimum | None  # a minimum of the kept V below V(z̄)
+    seconds: Mapping[str, float]  # of all candidates, by stage
+
+    @property
+    def design(self) -> Design:
+        """The design that is kept."""
+        return self.kept.design
+
+    @property
+    def certificate(self) -> Certificate:
+        """What is proved of it."""
+        return self.kept.certificate
+
+    @property
+    def was_made(self) -> bool:
+        """Whether there was a choice; otherwise the options say what to make."""
+        return bool(self.passed)
+
+    @property
+    def reason(self) -> str:
+        """The trade, in one line."""
+        text = f"kept: {self.kept.name} ({_worth(self.kept)})"
+        others = (f"{passed.name}, because {passed.because}" for passed in self.passed)
+        return "; instead of: ".join([text, *others])
+
+
+def choose(
+    loop: ClosedLoop,
+    casimirs: Casimirs,
+    verdict: Verdict,
+    x_star: Mapping[sp.Symbol, sp.Expr],
+    options: Options | None = None,
+    say: _Say | None = None,
+) -> Choice:
+    """Make the designs that the plant allows, and keep one.
+
+    Options that say how V is made (`convex`, `shape`, `least_cost`, a Casimir or Φ of another form)
+    leave nothing to choose: that design is made and judged.
+
+    Parameters
+    ----------
+    loop, casimirs, verdict, x_star, options
+        As for :func:`design`.
+    say
+        Hears what is being done.
+
+    Raises
+    ------
+    OptionError
+        ``usage``, where a shape is asked of the form K(Σ βᵢ(cᵢ)).
+    """
+    options = options or Options()
+    maker = _Maker(loop, casimirs, verdict, x_star, options, say or (lambda text: None))
+    kept, others, passed = _chosen(maker)
+    lower = None
+    if not kept.whole:
+        with maker.stage("choice", kept.name, "other minima of V"):
+            lower = lower_minimum(kept.design)
+    return Choice(kept, others, passed, lower, dict(maker.seconds))
+
+
+_Chosen = tuple[Judged, tuple[Judged, ...], tuple[Passed, ...]]
+
+
+def _chosen(maker: _Maker) -> _Chosen:
+    """What is kept, the others that were made, and why those are not kept."""
+    if not _is_open(maker.verdict, maker.options):
+        return maker.proved(maker.made("as asked", maker.options)), (), ()
+    whole = _whole_space(maker)
+    sound = whole is not None and _is_sound(whole)
+    if whole is not None and sound and _is_cheap(whole):
+        why = f"the whole space is proved at {whole.cost_to_lqr:.3g} × LQR's cost: not made"
+        return whole, (), (Passed("least cost", why), Passed("default", why))
+    made = [] if whole is None else [whole]
+    passed = []
+    least = _least_cost(maker, whole if sound else None)
+    if isinstance(least, Passed):
+        passed.append(least)
+    elif least is not None:
+        made.append(least)
+    if made and _is_sound(made[-1]):
+        why = "the whole space is proved without it, and every start arrives: not made"
+        return _decided(made, (*passed, Passed("default", why)))
+    made.append(maker.proved(maker.made("default", maker.options)))
+    return _decided(made, tuple(passed))
+
+
+def _decided(made: list[Judged], passed: tuple[Passed, ...]) -> _Chosen:
+    kept, others = decide(made)
+    return kept, tuple(c for c in made if c is not kept), (*passed, *others)
+
+
+def _is_open(verdict: Verdict, options: Options) -> bool:
+    """Whether the options leave it to the tool how V is made, and responses can be judged."""
+    plain = options.quadratic and options.phi == "sum" and options.casimir_form == "joint"
+    said = (options.convex, options.whole, options.least_cost, options.learn_casimir)
+    asked = any(said) or options.shape != "none"
+    return plain and not asked and verdict.stability == "asymptotic"
+
+
+def _is_sound(candidate: Judged) -> bool:
+    """Whether the whole space is proved, and no start says otherwise."""
+    everything = bool(candidate.response.arrived.all())
+    return candidate.proved and candidate.whole and everything and candidate.fits_limits
+
+
+def _is_cheap(candidate: Judged) -> bool:
+    return candidate.cost_to_lqr is not None and candidate.cost_to_lqr <= _NEAR_LQR
+
+
+def _takes_cost(options: Options) -> bool:
+    """Whether damping is free, as the least cost needs it."""
+    return options.D is None and options.Dc is None
+
+
+def _whole_space(maker: _Maker) -> Judged | None:
+    """The candidate with one critical point; None where no stiffness is enough."""
+    with maker.stage("design", "whole space", "stiffness"):
+        loop, casimirs, verdict = maker.loop, maker.casimirs, maker.verdict
+        plan = make_plan(loop, casimirs, verdict, maker.x_star, maker.options)
+        stiffness = whole_space_stiffness(plan)
+    if stiffness is None:
+        return None
+    options = replace(maker.options, whole=True, least_cost=_takes_cost(maker.options))
+    return maker.proved(maker.made("whole space", options))
+
+
+def _least_cost(maker: _Maker, rival: Judged | None) -> Judged | Passed | None:
+    """The candidate of least cost, proved only where it may be kept; None where it is none."""
+    if not _takes_cost(maker.options):
+        return None
+    trial = maker.made("least cost", replace(maker.options, least_cost=True))
+    if all(start.mode != "cost" for start in trial.design.starts):
+        return None
+    if rival is not None:
+        count, arrivals = len(trial.response.arrived), int(trial.response.arrived.sum())
+        ratio = cost_ratio(trial.response.cost, rival.response.cost)
+        if arrivals < count:
+            return Passed("least cost", f"{arrivals} of {count} starts arrive with it, not {count}")
+        if ratio is None or ratio >= 1 - NEAR:
+            times = "about as much" if ratio is None else f"{ratio:.3g} times as much"
+            return Passed("least cost", f"it costs {times}, and no more can be proved of it")
+    return maker.proved(trial)
+
+
+@dataclass(frozen=True, eq=False)
+class _Trial:
+    """A candidate of which nothing is proved yet."""
+
+    name: Name
+    options: Options
+    design: Design
+    response: Saturated
+    cost_to_lqr: float | None
+
+
+@dataclass(frozen=True, eq=False)
+class _Maker:
+    """Makes, follows and proves candidates at one target."""
+
+    loop: ClosedLoop
+    casimirs: Casimirs
+    verdict: Verdict
+    x_star: Mapping[sp.Symbol, sp.Expr]
+    options: Options
+    say: _Say
+    seconds: dict[str, float] = field(default_factory=dict)
+    _lqr: list[Vector | None] = field(default_factory=list)  # what LQR costs, once it is known
+
+    @contextmanager
+    def stage(self, stage: str, name: Name, text: str) -> Iterator[None]:
+        """A block that takes its time."""
+        self.say(text if name == "as asked" else f"{name}: {text}")
+        began = time.perf_counter()
+        yield
+        self.seconds[stage] = self.seconds.get(stage, 0.0) + time.perf_counter() - began
+
+    def made(self, name: Name, options: Options) -> _Trial:
+        """A candidate, trained and followed from even starts."""
+        outcomes: list[Start] = []
+
+        def report(start: Start) -> None:
+            outcomes.append(start)
+            head = "" if name == "as asked" else f"{name}: "
+            count = f"start {len(outcomes)} of {options.starts}"
+            self.say(f"{head}training: {count}, loss {start.loss:.1e}")
+
+        with self.stage("design", name, "training"):
+            made = design(
+                self.loop, self.casimirs, self.verdict, self.x_star, options, report
+            )
+        self.seconds["solve"] = self.seconds.get("solve", 0.0) + solver_seconds(made.starts)
+        with self.stage("choice", name, "following starts"):
+            cost = _cost(made, options)
+            response = saturated(made, cost)
+            if not self._lqr:
+                self._lqr.append(lqr_costs(made, cost, response.starts))
+        return _Trial(name, options, made, response, cost_ratio(response.cost, self._lqr[0]))
+
+    def proved(self, trial: _Trial) -> Judged:
+        """The candidate with its certificate."""
+        made, head = trial.design, "" if trial.name == "as asked" else f"{trial.name}: "
+        with self.stage("certify", trial.name, "proving"):
+            certificate = certify(made, report=lambda text, _: self.say(f"{head}proving: {text}"))
+        with self.stage("choice", trial.name, "comparing regions"):
+            share = plant_share(made, certificate)
+        return Judged(
+            name=trial.name,
+            options=trial.options,
+            design=made,
+            certificate=certificate,
+            response=trial.response,
+            plant_share=share,
+            cost_to_lqr=trial.cost_to_lqr,
+        )
+
+
+def _cost(made: Design, options: Options) -> QuadraticCost:
+    """The weights of the model, Bryson's where it names none."""
+    usual = bryson(made.sizes, made.loop.plant.n)
+    return QuadraticCost(
+        usual.Q if options.state_cost is None else options.state_cost,
+        usual.R if options.input_cost is None else options.input_cost,
+    )
+
+
+def _worth(kept: Judged) -> str:
+    """What a candidate is kept for."""
+    share = f"{100 * kept.plant_share:.3g} % of the plant's states at rest are in its region"
+    parts = ["one critical point of V is proved" if kept.whole else share]
+    parts.append(f"{kept.arrivals} of {len(kept.response.arrived)} starts arrive")
+    if kept.cost_to_lqr is not None:
+        parts.append(f"cost {kept.cost_to_lqr:.3g} × LQR")
+    return ", ".join(parts)

@@ -1,0 +1,62 @@
+"""A candidate with what is proved of it and how it responds."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from necc_casadi.arrays import Vector
+from necc_casadi.certificate.claims.certificate import Certificate
+from necc_casadi.designs.design import Design
+from necc_casadi.designs.error_bound import ACCEPTED_LOSS, natural_loss
+from necc_casadi.performance.saturated import Saturated
+from necc_casadi.synthesis.options import Options
+
+__all__ = ["Judged", "Name", "cost_ratio"]
+
+
+#: How a candidate is made: V with one critical point, least cost, neither, or as the options say.
+Name = Literal["whole space", "least cost", "default", "as asked"]
+
+
+@dataclass(frozen=True, eq=False)
+class Judged:
+    """A design and what the choice goes by."""
+
+    name: Name
+    options: Options
+    design: Design
+    certificate: Certificate
+    response: Saturated
+    plant_share: float  # of the plant's states at rest that the proved region holds
+    cost_to_lqr: float | None  # geometric mean over the starts from which both arrive, clipped
+
+    @property
+    def proved(self) -> bool:
+        """Whether every claim that exit code 0 rests on is proved."""
+        return self.certificate.certified and natural_loss(self.design) <= ACCEPTED_LOSS
+
+    @property
+    def whole(self) -> bool:
+        """Whether something is proved of the whole space."""
+        return any(claim.name == "global" and claim.holds for claim in self.certificate.claims)
+
+    @property
+    def arrivals(self) -> int:
+        """How many starts arrive."""
+        return int(self.response.arrived.sum())
+
+    @property
+    def fits_limits(self) -> bool:
+        """Whether no start asks for more than the inputs' limits, or it is proved from where."""
+        return self.response.keeps_limits or self.certificate.level_u is not None
+
+
+def cost_ratio(costs: Vector, others: Vector | None) -> float | None:
+    """Geometric mean of ratios of finite costs (N,); None where there are none."""
+    if others is None:
+        return None
+    both = np.isfinite(costs) & np.isfinite(others) & (costs > 0) & (others > 0)
+    return float(np.exp(np.mean(np.log(costs[both] / others[both])))) if both.any() else None

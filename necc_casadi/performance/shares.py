@@ -1,0 +1,67 @@
+"""How much of the domain a proved region holds: sampled, never proved."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from necc_casadi.arrays import Truth, Vector
+from necc_casadi.certificate.claims.certificate import Certificate
+from necc_casadi.certificate.prover.region.landscape import Landscape
+from necc_casadi.designs.design import Design
+from necc_casadi.model.samples import quasi_random
+
+__all__ = ["holds", "plant_share", "sampled_share"]
+
+
+#: States that a share rests on, and plant states, for each of which V is minimised over ξ.
+_SAMPLES, _PLANT_SAMPLES = 4096, 512
+
+
+def holds(design: Design, certificate: Certificate, z: Vector) -> Truth:
+    """Which states (B, n + nc) lie where the certificate claims something, (B,)."""
+    if any(claim.name == "global" and claim.holds for claim in certificate.claims):
+        return np.ones(len(z), dtype=bool)
+    region = certificate.region
+    if region is None:
+        return np.zeros(len(z), dtype=bool)
+    kept = [region.active[i] for i in region.kept]
+    over = region.covers(z[:, kept] / design.units.state[kept])
+    below: Truth = design.lyapunov.V(z) / design.units.energy <= region.level
+    return over & below
+
+
+def sampled_share(design: Design, certificate: Certificate) -> float | None:
+    """The share of quasi-random states of the domain, momenta at rest, that lie in Ω.
+
+    None where no region is proved.
+    """
+    if not _claims(certificate):
+        return None
+    lo, hi = design.domain.lo, design.domain.hi
+    z = lo + quasi_random(_SAMPLES, design.loop.n, design.seed) * (hi - lo)
+    z[:, list(design.momenta)] = 0.0
+    return float(np.mean(holds(design, certificate, z)))
+
+
+def plant_share(design: Design, certificate: Certificate) -> float:
+    """The share of plant states of the domain, momenta at rest, above which Ω has a state.
+
+    ξ is the minimum of V(x, ·) near ξ*, as ``necc_init_at`` starts it. The same states for every
+    design of a plant; 0 where no region is proved.
+    """
+    if not _claims(certificate):
+        return 0.0
+    n, natural = design.loop.plant.n, design.natural
+    lo, hi = natural.domain.lo[:n], natural.domain.hi[:n]
+    active = tuple(i for i in range(design.loop.n) if i not in design.momenta)
+    kept = tuple(k for k, i in enumerate(active) if i < n)
+    gone = tuple(k for k, i in enumerate(active) if i >= n)
+    x = (lo + quasi_random(_PLANT_SAMPLES, n, 0) * (hi - lo))[:, [active[k] for k in kept]]
+    landscape = Landscape(natural, active, kept, gone)
+    z = landscape.states(x, landscape.minima(x).e) * design.units.state
+    return float(np.mean(holds(design, certificate, z)))
+
+
+def _claims(certificate: Certificate) -> bool:
+    whole = any(claim.name == "global" and claim.holds for claim in certificate.claims)
+    return whole or certificate.region is not None
