@@ -86,9 +86,11 @@ class Choice:
     @property
     def reason(self) -> str:
         """The trade, in one line."""
-        text = f"kept: {self.kept.name} ({_worth(self.kept)})"
-        others = (f"{passed.name}, because {passed.because}" for passed in self.passed)
-        return "; instead of: ".join([text, *others])
+        reasons: dict[str, list[str]] = {}
+        for passed in self.passed:
+            reasons.setdefault(passed.because, []).append(passed.name)
+        others = [f"{' and '.join(names)}, because {why}" for why, names in reasons.items()]
+        return "; instead of ".join([f"kept: {self.kept.name} ({_worth(self.kept)})", *others])
 
 
 def choose(
@@ -136,7 +138,7 @@ def _chosen(maker: _Maker) -> _Chosen:
     whole = _whole_space(maker)
     sound = whole is not None and _is_sound(whole)
     if whole is not None and sound and _is_cheap(whole):
-        why = f"the whole space is proved at {whole.cost_to_lqr:.3g} × LQR's cost: not made"
+        why = f"the whole space is proved at {whole.cost_to_lqr:.3g} × LQR's cost (not made)"
         return whole, (), (Passed("least cost", why), Passed("default", why))
     made = [] if whole is None else [whole]
     passed = []
@@ -146,7 +148,7 @@ def _chosen(maker: _Maker) -> _Chosen:
     elif least is not None:
         made.append(least)
     if made and _is_sound(made[-1]):
-        why = "the whole space is proved without it, and every start arrives: not made"
+        why = "the whole space is proved without it, and every start arrives (not made)"
         return _decided(made, (*passed, Passed("default", why)))
     made.append(maker.proved(maker.made("default", maker.options)))
     return _decided(made, tuple(passed))
@@ -253,9 +255,7 @@ class _Maker:
             self.say(f"{head}training: {count}, loss {start.loss:.1e}")
 
         with self.stage("design", name, "training"):
-            made = design(
-                self.loop, self.casimirs, self.verdict, self.x_star, options, report
-            )
+            made = design(self.loop, self.casimirs, self.verdict, self.x_star, options, report)
         self.seconds["solve"] = self.seconds.get("solve", 0.0) + solver_seconds(made.starts)
         with self.stage("choice", name, "following starts"):
             cost = _cost(made, options)

@@ -45,9 +45,11 @@ def decide(candidates: Sequence[Judged]) -> tuple[Judged, tuple[Passed, ...]]:
     most = max(c.arrivals for c in left)
     count = len(left[0].response.arrived)
     drop(
-        lambda c: None
-        if c.arrivals == most
-        else f"{c.arrivals} of {count} starts arrive with it, not {most}"
+        lambda c: (
+            None
+            if c.arrivals == most
+            else f"{c.arrivals} of {count} starts arrive with it, not {most}"
+        )
     )
     drop(lambda c: None if c.fits_limits else "it asks for more than the inputs' limits")
     default = next((c for c in left if c.name == "default"), None)

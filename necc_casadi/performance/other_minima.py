@@ -116,7 +116,8 @@ class _AtRest:
         y = y.copy()
         for _ in range(_POLISH):
             grad, hess = self._gradient(y), self._hessian(y)
-            usable = np.isfinite(hess).all((1, 2)) & np.isfinite(grad).all(1)
+            finite = np.isfinite(hess).all((1, 2)) & np.isfinite(grad).all(1)
+            usable = np.asarray(finite, bool)
             usable[usable] &= np.linalg.det(hess[usable]) != 0
             y[usable] -= np.linalg.solve(hess[usable], grad[usable][..., None])[..., 0]
         return y
@@ -124,8 +125,9 @@ class _AtRest:
     def is_minimum(self, y: Vector, size: Vector) -> Truth:
         """Whether V has a nondegenerate minimum at each of (B, d)."""
         grad, hess = self._gradient(y), self._hessian(y)
-        still = np.abs(grad * size).max(1) <= _ZERO * self.design.sizes.energy
-        finite = np.isfinite(hess).all((1, 2))
+        flat = _ZERO * self.design.sizes.energy
+        still: Truth = np.abs(grad * size).max(1) <= flat
+        finite = np.asarray(np.isfinite(hess).all((1, 2)), bool)
         safe = np.where(finite[:, None, None], hess, 0.0) * np.outer(size, size)
         curved: Truth = np.linalg.eigvalsh(safe)[:, 0] > 0
-        return still & finite & curved
+        return np.asarray(still & finite & curved, bool)

@@ -194,7 +194,7 @@ class _Follower:
 
     def follow(self, starts: Vector) -> _Followed:
         """Follow plant states (N, n), in the units of the model."""
-        count, m = len(starts), self.plant.m
+        count = len(starts)
         own = np.concatenate([self.feedback.xi, [0.0]])
         z = np.concatenate([starts / self.units, np.repeat(own[None], count, 0)], axis=1)
         horizon = _PATIENCE * self.horizon

@@ -11,6 +11,8 @@ import sympy as sp
 from necc_casadi.casimirs.casimirs import Casimirs
 from necc_casadi.certificate.claims.certificate import Certificate
 from necc_casadi.certificate.claims.claim import Claim
+from necc_casadi.choice.choose import Choice
+from necc_casadi.choice.fitness import response_faults, response_warnings
 from necc_casadi.designs.design import Design
 from necc_casadi.designs.error_bound import ACCEPTED_LOSS, natural_loss
 from necc_casadi.designs.measures import Measures, measure
@@ -49,6 +51,7 @@ class Findings:
     verdict: Verdict | None = None
     design: Design | None = None
     certificate: Certificate | None = None
+    choice: Choice | None = None  # why this design, and how it responds with clipped inputs
     responses: Sequence[Trajectory] = ()
     domain_share: float | None = None  # of random states of the domain, momenta at rest, in Ω
     simulated_share: float | None = None  # of such states, from which the loop converges
@@ -72,11 +75,18 @@ class Findings:
             known = self.verdict is not None and self.verdict.assignable
             return "assignable" if known else "undecided"
         certified = self.certificate is not None and self.certificate.certified
-        return (
-            "certified"
-            if certified and natural_loss(self.design) <= ACCEPTED_LOSS
-            else "fell_short"
-        )
+        fit = certified and natural_loss(self.design) <= ACCEPTED_LOSS and not self.faults
+        return "certified" if fit else "fell_short"
+
+    @property
+    def faults(self) -> tuple[str, ...]:
+        """What the response has against what is claimed: nothing is certified then."""
+        return () if self.choice is None else response_faults(self.choice.kept)
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What the response has beyond what is claimed, and V elsewhere."""
+        return () if self.choice is None else response_warnings(self.choice)
 
     @property
     def exit_code(self) -> int:

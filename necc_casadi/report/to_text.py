@@ -10,6 +10,7 @@ import sympy as sp
 
 from necc_casadi.casimirs.casimirs import Casimirs
 from necc_casadi.certificate.claims.certificate import Certificate
+from necc_casadi.choice.judged import Judged
 from necc_casadi.designs.design import Design
 from necc_casadi.designs.measures import Measures
 from necc_casadi.designs.outcome import Residual, solver_seconds
@@ -49,7 +50,7 @@ _NOTHING = 1e-20
 def summary(found: Findings, width: int = _WIDTH) -> str:
     """A page that says what was found, proved and written, in lines of so many columns."""
     loop, verdict, casimirs = found.loop, found.verdict, found.casimirs
-    lines = [f"{loop.plant.name}: {_outcome(found)}", ""]
+    lines = [_headline(f"{loop.plant.name}: {_outcome(found)}", width), ""]
     rows = [("target", _target(found))]
     if casimirs is not None:
         rows.append(("Casimirs", _casimirs(casimirs)))
@@ -60,8 +61,12 @@ def summary(found: Findings, width: int = _WIDTH) -> str:
         rows += _design_rows(found.design, found.measures, found.certificate)
     if found.design is not None and found.design.learned is not None:
         rows.append(("learned", _learned(found.design.learned)))
+    if found.choice is not None and found.choice.was_made:
+        rows.append(("choice", found.choice.reason))
     if found.responses:
         rows.append(("responses", _responses(found)))
+    if found.choice is not None:
+        rows.append(("starts", _starts(found.choice.kept)))
     if found.sampling is not None:
         rows.append(("sampled", _sampled(found.sampling)))
     if found.certificate is not None:
@@ -76,6 +81,12 @@ def summary(found: Findings, width: int = _WIDTH) -> str:
     if found.timings:
         rows.append(("seconds", ", ".join(f"{k} {v:.2g}" for k, v in found.timings.items())))
     return "\n".join(lines + [_wrapped(label, text, width) for label, text in rows])
+
+
+def _headline(text: str, width: int) -> str:
+    return textwrap.fill(
+        text, width, subsequent_indent="  ", break_long_words=False, break_on_hyphens=False
+    )
 
 
 def _wrapped(label: str, text: str, width: int) -> str:
@@ -95,15 +106,22 @@ def _tied(text: str) -> str:
 
 
 def _outcome(found: Findings) -> str:
+    """The outcome; what is wrong comes first."""
     certificate = found.certificate
     if found.status == "certified" and certificate is not None:
         kind = "asymptotically stable" if certificate.stability == "asymptotic" else "only stable"
-        return f"certified, {kind}"
+        if not found.warnings:
+            return f"certified, {kind}"
+        whole = found.choice is not None and found.choice.kept.whole
+        where = "as long as no input is clipped" if whole else "in the proved region alone"
+        return f"{'; '.join(found.warnings)}; certified, {kind} {where}"
+    proved = certificate is not None and certificate.certified
+    short = [*found.faults, *(() if proved and found.faults else ("not every claim is proved",))]
     return {
         "assignable": "the target is assignable",
         "refused": "refused, with proof",
         "undecided": "undecided",
-        "fell_short": "fell short: not every claim is proved",
+        "fell_short": "; ".join([f"fell short: {short[0]}", *short[1:], *found.warnings]),
     }[found.status]
 
 
@@ -232,6 +250,18 @@ def _responses(found: Findings) -> str:
         text += f", the slowest in {slowest:.3g} s"
     peak = max(r.peak_input for r in found.responses)
     return f"{text}; peak |u| {peak:.3g} (simulated)"
+
+
+def _starts(kept: Judged) -> str:
+    """What becomes of starts that fill the domain, with inputs that are clipped to their limits."""
+    response = kept.response
+    text = f"{kept.arrivals} of {len(response.arrived)} that fill the domain arrive"
+    if kept.certificate.stability != "asymptotic":
+        return f"{len(response.arrived)} that fill the domain: none need arrive"
+    limited = kept.design.loop.plant.u_limits is not None
+    clipped = ", inputs clipped to their limits" if limited else ""
+    dear = "" if kept.cost_to_lqr is None else f"; cost {kept.cost_to_lqr:.3g} × LQR"
+    return f"{text}{clipped}{dear} (simulated)"
 
 
 def _region_rows(found: Findings, certificate: Certificate) -> list[tuple[str, str]]:
