@@ -49,18 +49,7 @@ _Say = Callable[[str], None]
 
 @dataclass(frozen=True, eq=False)
 class Choice:
-    """The design that is kept, with its certificate, and why it is.
-
-    Examples
-    --------
-    >>> from necc_casadi import choose, find_casimirs, judge, load_model, parse_target
-    >>> loop = load_model("pendulum.py").loop
-    >>> x_star = parse_target(loop.plant, "pi/4")
-    >>> casimirs = find_casimirs(loop)
-    >>> choice = choose(loop, casimirs, judge(loop, casimirs, x_star), x_star)
-    >>> choice.kept.name, choice.certificate.is_global
-    ('whole space', True)
-    """
+    """The design that is kept, with its certificate, and why it is."""
 
     kept: Judged
     others: tuple[Judged, ...]  # that were made
@@ -113,10 +102,29 @@ def choose(
     say
         Hears what is being done.
 
+    Returns
+    -------
+    Choice
+        The design, its certificate, its response and the trade in one line.
+
     Raises
     ------
     OptionError
         ``usage``, where a shape is asked of the form K(Σ βᵢ(cᵢ)).
+
+    References
+    ----------
+    docs/contract.md, Choice and response.
+
+    Examples
+    --------
+    >>> from necc_casadi import choose, find_casimirs, judge, load_model, parse_target
+    >>> loop = load_model("pendulum.py").loop
+    >>> x_star = parse_target(loop.plant, "pi/4")
+    >>> casimirs = find_casimirs(loop)
+    >>> choice = choose(loop, casimirs, judge(loop, casimirs, x_star), x_star)
+    >>> choice.kept.name, choice.certificate.is_global
+    ('whole space', True)
     """
     options = options or Options()
     maker = _Maker(loop, casimirs, verdict, x_star, options, say or (lambda text: None))

@@ -68,11 +68,10 @@ def _claimed(kept: Judged) -> tuple[int, ...]:
 
 def _gone(kept: Judged, strayed: Sequence[int], what: str) -> str:
     """How many starts do not arrive, and where most of them are found instead."""
-    count = len(kept.response.arrived)
+    count, number = len(kept.response.arrived), len(set(strayed))
     at_rest = [(e, len(set(e.starts) & set(strayed))) for e in kept.response.elsewhere]
     at_rest = sorted((pair for pair in at_rest if pair[1]), key=lambda pair: -pair[1])
-    away = number - sum(number for _, number in at_rest)
-    number = len(set(strayed))
+    away = number - sum(starts for _, starts in at_rest)
     head = f"{number} of {count} {what} {'do' if number > 1 else 'does'} not arrive"
     parts = []
     if at_rest:

@@ -14,16 +14,15 @@ from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
-import sympy as sp
 
 from necc_casadi.arrays import Truth, Vector
-from necc_casadi.certificate.prover.region.critical_box import is_periodic
 from necc_casadi.designs.design import Design
 from necc_casadi.interrupts import interruptible
 from necc_casadi.model.cost import QuadraticCost
 from necc_casadi.model.samples import quasi_random
 from necc_casadi.performance.closed_loop_cost import Feedback, design_feedback, lqr_feedback
 from necc_casadi.performance.plant_model import PlantModel, plant_model
+from necc_casadi.performance.turns import turns_of
 from necc_casadi.simulation.convergence import bogacki_shampine
 from necc_casadi.simulation.responses import default_horizon
 
@@ -160,7 +159,7 @@ class _Follower:
         self.horizon = default_horizon(design) / design.units.time
         reach = (natural.domain.hi - natural.domain.lo)[: len(self.target)]
         self.reach = float(np.linalg.norm(reach / self.size))
-        self.turns = _turns(design)[: len(self.target)]
+        self.turns = turns_of(design)[: len(self.target)]
         limits = design.loop.plant.u_limits
         bounds = [(-np.inf, np.inf)] * plant.m if limits is None else limits
         self.lo, self.hi = np.array(bounds, float).T / design.units.input
@@ -249,21 +248,6 @@ class _Follower:
         n, nc = self.plant.n, len(self.feedback.xi)
         u, _ = self._law.call([z[:, :n].T, z[:, n : n + nc].T])
         return np.asarray(u, float).T
-
-
-def _turns(design: Design) -> Vector:
-    """A turn of each state in natural units, (n + nc,); 0 where turning it is another state.
-
-    An angle comes back to itself where the loop has its period and no Casimir counts its turns.
-    """
-    loop, seen = design.loop, set().union(*(c.free_symbols for c in design.casimirs.functions))
-    entries = [sp.sympify(e) for e in (loop.plant.H, *loop.M, *loop.ports)]
-    turns = np.zeros(loop.n)
-    for index, symbol in enumerate(loop.plant.x):
-        used = [e for e in entries if e.has(symbol)]
-        if symbol not in seen and used and is_periodic(used, symbol):
-            turns[index] = 2 * np.pi / design.units.state[index]
-    return turns
 
 
 def _places(design: Design, followed: _Followed) -> tuple[Elsewhere, ...]:

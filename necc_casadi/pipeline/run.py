@@ -53,8 +53,9 @@ from necc_casadi.report.figures import (
     sweep_figure,
     write_figure,
 )
-from necc_casadi.report.findings import Findings, SweepPoint
+from necc_casadi.report.findings import Findings
 from necc_casadi.report.landscape_figure import landscape_figure
+from necc_casadi.report.sweep_point import SweepPoint
 from necc_casadi.simulation.convergence import simulated_share
 from necc_casadi.simulation.responses import Trajectory, random_states, simulate
 from necc_casadi.synthesis.options import Options

@@ -18,27 +18,11 @@ from necc_casadi.designs.error_bound import ACCEPTED_LOSS, natural_loss
 from necc_casadi.designs.measures import Measures, measure
 from necc_casadi.export.sampled_loop import SampledLoop
 from necc_casadi.model.closed_loop import ClosedLoop
+from necc_casadi.report.sweep_point import SweepPoint
 from necc_casadi.simulation.responses import Trajectory
 from necc_casadi.verdict.verdict import Verdict
 
-__all__ = ["Findings", "SweepPoint", "attracts", "global_claim", "region_claim"]
-
-
-@dataclass(frozen=True)
-class SweepPoint:
-    """What one value of a gave: the paper's third figure, and the proved region.
-
-    Shares are of the domain, momenta at rest.
-    """
-
-    a: float
-    loss: float  # ε
-    distance: float  # ‖z̄ − z*‖
-    bound_paper: float | None  # ε/(a − ε), None where a ≤ ε
-    bound_rigorous: float | None  # g/μ, None where nothing was proved
-    domain_share: float | None = None  # sampled, in the proved region; None: none is proved
-    simulated_share: float | None = None  # converges in simulation; None: not known
-    limited_by: str | None = None  # what keeps the proved region from growing
+__all__ = ["Findings", "attracts", "global_claim", "region_claim"]
 
 
 @dataclass(frozen=True, eq=False)

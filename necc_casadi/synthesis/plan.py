@@ -38,7 +38,7 @@ from necc_casadi.synthesis.potential_free import (
 from necc_casadi.synthesis.sample_box import sample_box
 from necc_casadi.synthesis.shaping import Shaping, make_shaping
 from necc_casadi.synthesis.training import STIFFER, Anchor, Penalty
-from necc_casadi.synthesis.uniqueness import kappa_of_one_minimum, may_hold_everywhere
+from necc_casadi.synthesis.uniqueness import kappa_of_one_minimum
 from necc_casadi.verdict.verdict import Verdict
 
 __all__ = ["Plan", "make_plan", "whole_space_stiffness"]
@@ -188,13 +188,25 @@ def _least_stiffness(plan: Plan, options: Options) -> float:
 
 def whole_space_stiffness(plan: Plan) -> float | None:
     """The least κ for a V with one critical point, natural units; None where none is enough."""
-    if not may_hold_everywhere(plan.loop, plan.casimirs):
+    if not _may_hold_everywhere(plan.loop, plan.casimirs):
         return None
     momenta = find_momenta(plan.loop, plan.casimirs, plan.x_star)
     radian = 1 / plan.units.state
     return kappa_of_one_minimum(
         plan.terms, plan.scales, plan.verdict, plan.x, plan.anchor.xi, radian, momenta
     )
+
+
+def _may_hold_everywhere(loop: ClosedLoop, casimirs: Casimirs) -> bool:
+    """Whether the structure of a loop is one of which a certificate can cover the whole space.
+
+    J, R and G are constant, the Casimirs linear, and H depends on states otherwise than
+    quadratically through sines and cosines only.
+    """
+    constant = not (loop.M.free_symbols or loop.ports.free_symbols)
+    linear = all(not sp.diff(c, s).free_symbols for c in casimirs.functions for s in loop.z)
+    turning = all(isinstance(f, (sp.sin, sp.cos)) for f in loop.plant.H.atoms(sp.Function))
+    return constant and linear and turning
 
 
 def _shaping(plan: Plan, options: Options) -> Shaping | None:

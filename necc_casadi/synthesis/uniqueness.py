@@ -21,18 +21,15 @@ from collections.abc import Sequence
 
 import casadi as ca
 import numpy as np
-import sympy as sp
 
 from necc_casadi.arrays import Vector
-from necc_casadi.casimirs.casimirs import Casimirs
 from necc_casadi.lyapunov.lyapunov import Terms
-from necc_casadi.model.closed_loop import ClosedLoop
 from necc_casadi.model.samples import quasi_random
 from necc_casadi.model.sizes import Sizes
 from necc_casadi.symbolic.floats import to_floats
 from necc_casadi.verdict.verdict import Verdict
 
-__all__ = ["kappa_of_one_minimum", "may_hold_everywhere"]
+__all__ = ["kappa_of_one_minimum"]
 
 
 #: η: least growth along rays that quadratic parts alone must reach, for the networks to take away.
@@ -49,18 +46,6 @@ _STIFFEST, _HALVINGS = 64.0, 14
 
 #: Least eigenvalue of ∇²V_κ(z*) in natural units, or this share of the most that is in reach.
 _CURVED, _OF_REACH = 0.1, 0.5
-
-
-def may_hold_everywhere(loop: ClosedLoop, casimirs: Casimirs) -> bool:
-    """Whether the structure of a loop is one of which a certificate can cover the whole space.
-
-    J, R and G are constant, the Casimirs linear, and H depends on states otherwise than
-    quadratically through sines and cosines only.
-    """
-    constant = not (loop.M.free_symbols or loop.ports.free_symbols)
-    linear = all(not sp.diff(c, s).free_symbols for c in casimirs.functions for s in loop.z)
-    turning = all(isinstance(f, (sp.sin, sp.cos)) for f in loop.plant.H.atoms(sp.Function))
-    return constant and linear and turning
 
 
 def kappa_of_one_minimum(

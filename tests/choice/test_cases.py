@@ -1,0 +1,82 @@
+"""Runs that would look well in one word: what is wrong with them is the first that is said."""
+
+from pathlib import Path
+
+from helpers.actuated import JOINT, PAN_TILT, written
+
+from necc_casadi.pipeline.request import Choices, Request
+from necc_casadi.pipeline.run import run_design
+from necc_casadi.report.to_json import to_json
+from necc_casadi.report.to_text import summary
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+
+
+def found(model, folder, **asked):
+    request = Request(model=model, out=folder / "out", plots=False, **asked)
+    return run_design(request, lambda text: None)
+
+
+def first_line(run) -> str:
+    """The headline, on one line."""
+    return " ".join(summary(run).split("\n\n")[0].split())
+
+
+def test_a_shaped_joint_that_settles_a_turn_away_says_so(tmp_path):
+    path = written(tmp_path, JOINT)
+    run = found(path, tmp_path, target="q=1", chosen=Choices(shape="level"))
+    response = run.choice.kept.response
+    assert not response.arrived.all()
+    assert run.status == "certified"  # its starts are outside of the proved region
+    line = first_line(run)
+    assert "do not arrive: " in line
+    assert "V has a lower minimum at q = -5.88" in line
+    assert line.index("not arrive") < line.index("certified")
+    assert line.endswith("in the proved region alone")
+    assert to_json(run)["arrivals"]["lower_minimum"]["below"] > 0
+
+
+def test_the_joint_arrives_from_everywhere_where_the_choice_is_the_tools(tmp_path):
+    run = found(written(tmp_path, JOINT), tmp_path, target="q=1")
+    assert run.choice.kept.name == "whole space"
+    assert run.choice.kept.response.arrived.all()
+    assert run.choice.lower is None
+    line = first_line(run)
+    assert "not arrive" not in line
+    assert "starts ask for |u| up to" in line  # more than the motor gives: they are clipped
+
+
+def test_inputs_beyond_their_limits_come_first(tmp_path):
+    run = found(written(tmp_path, PAN_TILT), tmp_path)
+    data = to_json(run)
+    assert data["arrivals"]["beyond_limits"] > 0
+    assert max(data["arrivals"]["peak_u"]) > 1.5
+    line = first_line(run)
+    assert "limits -1.5 … 1.5" in line
+    if run.certificate.level_u is None:
+        assert (run.status, run.exit_code) == ("fell_short", 4)
+        assert line.startswith("Pan-tilt head: fell short: ")
+    else:
+        assert run.status == "certified"
+        assert line.index("limits") < line.index("certified")
+
+
+def test_inputs_beyond_limits_that_no_region_keeps_fall_short(tmp_path):
+    chosen = Choices(shape="level")
+    run = found(written(tmp_path, PAN_TILT), tmp_path, chosen=chosen)
+    assert run.certificate.level_u is None
+    assert not run.choice.kept.response.keeps_limits
+    assert (run.status, run.exit_code) == ("fell_short", 4)
+    assert any("limits -1.5 … 1.5" in fault for fault in run.faults)
+
+
+def test_a_satellite_that_ends_half_a_turn_off_says_where(tmp_path):
+    run = found(EXAMPLES / "satellite.py", tmp_path)
+    response = run.choice.kept.response
+    assert response.share < 0.8
+    line = first_line(run)
+    assert "random starts do not arrive: " in line
+    assert "yaw = " in line
+    assert not line.startswith("Satellite: certified")
+    places = to_json(run)["arrivals"]["elsewhere"]
+    assert sum(place["starts"] for place in places) == len(response.strayed)
