@@ -30,7 +30,7 @@ from necc_casadi.model.closed_loop import ClosedLoop
 from necc_casadi.model.cost import QuadraticCost, bryson
 from necc_casadi.performance.other_minima import LowerMinimum, lower_minimum
 from necc_casadi.performance.saturated import Saturated, lqr_costs, saturated
-from necc_casadi.performance.shares import plant_share
+from necc_casadi.performance.shares import plant_share, unclipped_share
 from necc_casadi.synthesis.options import Options
 from necc_casadi.synthesis.plan import make_plan, whole_space_stiffness
 from necc_casadi.synthesis.synthesis import design
@@ -142,24 +142,45 @@ _Chosen = tuple[Judged, tuple[Judged, ...], tuple[Passed, ...]]
 def _chosen(maker: _Maker) -> _Chosen:
     """What is kept, the others that were made, and why those are not kept."""
     if not _is_open(maker.verdict, maker.options):
-        return maker.proved(maker.made("as asked", maker.options)), (), ()
-    whole = _whole_space(maker)
+        name: Name = "as asked" if _asks(maker.options) else "default"
+        return maker.proved(maker.made(name, maker.options)), (), ()
+    limited = maker.loop.plant.u_limits is not None
+    default = maker.made("default", maker.options) if limited else None
+    made, passed = list[Judged](), list[Passed]()
+    whole = _entered(maker, _whole_space(maker), default, passed)
+    if whole is not None:
+        made.append(whole)
     sound = whole is not None and _is_sound(whole)
     if whole is not None and sound and _is_cheap(whole):
-        why = f"the whole space is proved at {whole.cost_to_lqr:.3g} × LQR's cost (not made)"
+        why = f"the whole space is proved at {whole.cost_to_lqr:.3g} × LQR's cost"
         return whole, (), (Passed("least cost", why), Passed("default", why))
-    made = [] if whole is None else [whole]
-    passed = []
-    least = _least_cost(maker, whole if sound else None)
-    if isinstance(least, Passed):
-        passed.append(least)
-    elif least is not None:
-        made.append(least)
+    least = _least_cost(maker)
+    why_not = _not_worth_a_proof(least, whole) if least is not None and sound else None
+    if why_not is not None:
+        passed.append(Passed("least cost", why_not))
+    elif (entered := _entered(maker, least, default, passed)) is not None:
+        made.append(entered)
     if made and _is_sound(made[-1]):
-        why = "the whole space is proved without it, and every start arrives (not made)"
+        why = "the whole space is proved without it, and every start arrives"
         return _decided(made, (*passed, Passed("default", why)))
-    made.append(maker.proved(maker.made("default", maker.options)))
+    made.append(maker.proved(default or maker.made("default", maker.options)))
     return _decided(made, tuple(passed))
+
+
+def _entered(
+    maker: _Maker, trial: _Trial | None, default: _Trial | None, passed: list[Passed]
+) -> Judged | None:
+    """The candidate with its proofs; None where it is none, or asks too much of the inputs."""
+    if trial is None:
+        return None
+    if default is not None and default.arrivals >= trial.arrivals:
+        beyond, usual = (int(t.response.exceeded.any(axis=1).sum()) for t in (trial, default))
+        if beyond > usual:
+            count = len(trial.response.arrived)
+            why = f"{beyond} of {count} starts ask for more than the inputs' limits, not {usual}"
+            passed.append(Passed(trial.name, why))
+            return None
+    return maker.proved(trial)
 
 
 def _decided(made: list[Judged], passed: tuple[Passed, ...]) -> _Chosen:
@@ -169,10 +190,14 @@ def _decided(made: list[Judged], passed: tuple[Passed, ...]) -> _Chosen:
 
 def _is_open(verdict: Verdict, options: Options) -> bool:
     """Whether the options leave it to the tool how V is made, and responses can be judged."""
+    return not _asks(options) and verdict.stability == "asymptotic"
+
+
+def _asks(options: Options) -> bool:
+    """Whether the options say how V is made."""
     plain = options.quadratic and options.phi == "sum" and options.casimir_form == "joint"
     said = (options.convex, options.whole, options.least_cost, options.learn_casimir)
-    asked = any(said) or options.shape != "none"
-    return plain and not asked and verdict.stability == "asymptotic"
+    return not plain or any(said) or options.shape != "none"
 
 
 def _is_sound(candidate: Judged) -> bool:
@@ -190,7 +215,7 @@ def _takes_cost(options: Options) -> bool:
     return options.D is None and options.Dc is None
 
 
-def _whole_space(maker: _Maker) -> Judged | None:
+def _whole_space(maker: _Maker) -> _Trial | None:
     """The candidate with one critical point; None where no stiffness is enough."""
     with maker.stage("design", "whole space", "stiffness"):
         loop, casimirs, verdict = maker.loop, maker.casimirs, maker.verdict
@@ -199,25 +224,30 @@ def _whole_space(maker: _Maker) -> Judged | None:
     if stiffness is None:
         return None
     options = replace(maker.options, whole=True, least_cost=_takes_cost(maker.options))
-    return maker.proved(maker.made("whole space", options))
+    return maker.made("whole space", options)
 
 
-def _least_cost(maker: _Maker, rival: Judged | None) -> Judged | Passed | None:
-    """The candidate of least cost, proved only where it may be kept; None where it is none."""
+def _least_cost(maker: _Maker) -> _Trial | None:
+    """The candidate of least cost; None where nothing was found that costs less."""
     if not _takes_cost(maker.options):
         return None
     trial = maker.made("least cost", replace(maker.options, least_cost=True))
-    if all(start.mode != "cost" for start in trial.design.starts):
+    found = any(start.mode == "cost" for start in trial.design.starts)
+    return trial if found else None
+
+
+def _not_worth_a_proof(trial: _Trial, whole: Judged | None) -> str | None:
+    """Why a candidate cannot win against one that is proved everywhere."""
+    if whole is None:
         return None
-    if rival is not None:
-        count, arrivals = len(trial.response.arrived), int(trial.response.arrived.sum())
-        ratio = cost_ratio(trial.response.cost, rival.response.cost)
-        if arrivals < count:
-            return Passed("least cost", f"{arrivals} of {count} starts arrive with it, not {count}")
-        if ratio is None or ratio >= 1 - NEAR:
-            times = "about as much" if ratio is None else f"{ratio:.3g} times as much"
-            return Passed("least cost", f"it costs {times}, and no more can be proved of it")
-    return maker.proved(trial)
+    count = len(trial.response.arrived)
+    if trial.arrivals < count:
+        return f"{trial.arrivals} of {count} starts arrive with it, not {count}"
+    ratio = cost_ratio(trial.response.cost, whole.response.cost)
+    if ratio is not None and ratio < 1 - NEAR:
+        return None
+    times = "about as much" if ratio is None else f"{ratio:.3g} times as much"
+    return f"it costs {times}, and no more can be proved of it"
 
 
 @dataclass(frozen=True, eq=False)
@@ -229,6 +259,11 @@ class _Trial:
     design: Design
     response: Saturated
     cost_to_lqr: float | None
+
+    @property
+    def arrivals(self) -> int:
+        """How many starts arrive."""
+        return int(self.response.arrived.sum())
 
 
 @dataclass(frozen=True, eq=False)
@@ -279,6 +314,7 @@ class _Maker:
             certificate = certify(made, report=lambda text, _: self.say(f"{head}proving: {text}"))
         with self.stage("choice", trial.name, "comparing regions"):
             share = plant_share(made, certificate)
+            within = unclipped_share(made, certificate)
         return Judged(
             name=trial.name,
             options=trial.options,
@@ -286,6 +322,7 @@ class _Maker:
             certificate=certificate,
             response=trial.response,
             plant_share=share,
+            unclipped_share=within,
             cost_to_lqr=trial.cost_to_lqr,
         )
 

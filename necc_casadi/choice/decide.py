@@ -69,6 +69,12 @@ def _loses(candidate: Judged, default: Judged) -> str | None:
             f"its region holds {100 * candidate.plant_share:.3g} % of the plant's states at rest, "
             f"the default's {100 * default.plant_share:.3g} %"
         )
+    own, usual = candidate.unclipped_share, default.unclipped_share
+    if own is not None and usual is not None and own < usual:
+        return (
+            f"inputs are proved to keep their limits from {100 * own:.3g} % of the plant's states "
+            f"at rest, the default's from {100 * usual:.3g} %"
+        )
     return None
 
 

@@ -31,6 +31,7 @@ class Judged:
     certificate: Certificate
     response: Saturated
     plant_share: float  # of the plant's states at rest that the proved region holds
+    unclipped_share: float | None  # where inputs keep their limits too; None: they have none
     cost_to_lqr: float | None  # geometric mean over the starts from which both arrive, clipped
 
     @property

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from necc_casadi.arrays import Truth, Vector
 from necc_casadi.certificate.claims.certificate import Certificate
+from necc_casadi.certificate.claims.regions import Region
 from necc_casadi.certificate.prover.region.landscape import Landscape
 from necc_casadi.designs.design import Design
 from necc_casadi.model.samples import quasi_random
 
-__all__ = ["holds", "plant_share", "sampled_share"]
+__all__ = ["holds", "plant_share", "sampled_share", "unclipped_share"]
 
 
 #: States that a share rests on, and plant states, for each of which V is minimised over ξ.
@@ -21,9 +24,12 @@ def holds(design: Design, certificate: Certificate, z: Vector) -> Truth:
     """Which states (B, n + nc) lie where the certificate claims something, (B,)."""
     if any(claim.name == "global" and claim.holds for claim in certificate.claims):
         return np.ones(len(z), dtype=bool)
-    region = certificate.region
-    if region is None:
+    if certificate.region is None:
         return np.zeros(len(z), dtype=bool)
+    return _inside(design, certificate.region, z)
+
+
+def _inside(design: Design, region: Region, z: Vector) -> Truth:
     kept = [region.active[i] for i in region.kept]
     over = region.covers(z[:, kept] / design.units.state[kept])
     below: Truth = design.lyapunov.V(z) / design.units.energy <= region.level
@@ -51,6 +57,25 @@ def plant_share(design: Design, certificate: Certificate) -> float:
     """
     if not _claims(certificate):
         return 0.0
+    return float(np.mean(holds(design, certificate, _plant_states(design))))
+
+
+def unclipped_share(design: Design, certificate: Certificate) -> float | None:
+    """The share of the same states from which inputs are proved to keep their limits.
+
+    None where the plant's inputs have none.
+    """
+    region, level = certificate.region, certificate.level_u
+    if design.loop.plant.u_limits is None:
+        return None
+    if region is None or level is None:
+        return 0.0
+    within = replace(region, level=level / design.units.energy)
+    return float(np.mean(_inside(design, within, _plant_states(design))))
+
+
+def _plant_states(design: Design) -> Vector:
+    """Plant states that fill the domain, momenta at rest, ξ where V is least, (B, n + nc)."""
     n, natural = design.loop.plant.n, design.natural
     lo, hi = natural.domain.lo[:n], natural.domain.hi[:n]
     active = tuple(i for i in range(design.loop.n) if i not in design.momenta)
@@ -58,8 +83,7 @@ def plant_share(design: Design, certificate: Certificate) -> float:
     gone = tuple(k for k, i in enumerate(active) if i >= n)
     x = (lo + quasi_random(_PLANT_SAMPLES, n, 0) * (hi - lo))[:, [active[k] for k in kept]]
     landscape = Landscape(natural, active, kept, gone)
-    z = landscape.states(x, landscape.minima(x).e) * design.units.state
-    return float(np.mean(holds(design, certificate, z)))
+    return np.asarray(landscape.states(x, landscape.minima(x).e) * design.units.state)
 
 
 def _claims(certificate: Certificate) -> bool:

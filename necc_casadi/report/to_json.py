@@ -147,6 +147,7 @@ def _judged(judged: Judged) -> dict[str, Any]:
         "certified": judged.proved,
         "global": judged.whole,
         "plant_share": judged.plant_share,
+        "unclipped_share": judged.unclipped_share,
         "arrived": judged.arrivals,
         "cost_to_lqr": judged.cost_to_lqr,
         "peak_u": judged.response.peak_u.max(axis=0).tolist(),

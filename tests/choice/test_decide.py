@@ -13,7 +13,13 @@ STARTS = 10
 def candidate(name="default", cost=1.0, arrivals=STARTS, **changes):
     arrived = np.arange(STARTS) < arrivals
     response = SimpleNamespace(arrived=arrived, cost=np.where(arrived, cost, np.inf))
-    usual = {"proved": True, "fits_limits": True, "whole": False, "plant_share": 0.5}
+    usual = {
+        "proved": True,
+        "fits_limits": True,
+        "whole": False,
+        "plant_share": 0.5,
+        "unclipped_share": 0.3,
+    }
     return SimpleNamespace(name=name, arrivals=arrivals, response=response, **(usual | changes))
 
 
@@ -42,6 +48,7 @@ def test_of_those_that_cost_about_the_same_the_larger_region_is_kept():
         ({"proved": False}, "not every claim"),
         ({"arrivals": 9}, "9 of 10 starts arrive with it, not 10"),
         ({"fits_limits": False}, "limits"),
+        ({"unclipped_share": 0.2}, "20 % of the plant's states at rest, the default's from 30 %"),
         ({"plant_share": 0.4}, "40 % of the plant's states at rest, the default's 50 %"),
     ],
 )
