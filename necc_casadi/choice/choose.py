@@ -40,7 +40,7 @@ __all__ = ["Choice", "choose"]
 
 
 #: A whole-space design that costs no more than this multiple of LQR's cost leaves nothing to win.
-_NEAR_LQR = 1.05
+_NEAR_LQR = 1.15
 
 
 #: Hears what is being done.
@@ -146,41 +146,75 @@ def _chosen(maker: _Maker) -> _Chosen:
         return maker.proved(maker.made(name, maker.options)), (), ()
     limited = maker.loop.plant.u_limits is not None
     default = maker.made("default", maker.options) if limited else None
-    made, passed = list[Judged](), list[Passed]()
-    whole = _entered(maker, _whole_space(maker), default, passed)
-    if whole is not None:
-        made.append(whole)
-    sound = whole is not None and _is_sound(whole)
-    if whole is not None and sound and _is_cheap(whole):
+    passed = list[Passed]()
+    trial = _whole_space(maker)
+    whole = None
+    if trial is not None and not _is_passed(_overreaches(trial, default), trial, passed):
+        whole = maker.proved(trial)
+    if whole is None or not _is_sound(whole):
+        made = [] if whole is None else [whole]
+        usual = maker.proved(default or maker.made("default", maker.options))
+        least = _least_cost(maker)
+        if least is not None and not _is_passed(_cannot_win(least, usual), least, passed):
+            made.append(maker.proved(least))
+        return _decided([*made, usual], tuple(passed))
+    if _is_cheap(whole):
         why = f"the whole space is proved at {whole.cost_to_lqr:.3g} × LQR's cost"
-        return whole, (), (Passed("least cost", why), Passed("default", why))
+        return whole, (), (*passed, Passed("least cost", why), Passed("default", why))
     least = _least_cost(maker)
-    why_not = _not_worth_a_proof(least, whole) if least is not None and sound else None
-    if why_not is not None:
-        passed.append(Passed("least cost", why_not))
-    elif (entered := _entered(maker, least, default, passed)) is not None:
-        made.append(entered)
-    if made and _is_sound(made[-1]):
+    if least is None or _is_passed(_saves_nothing(least, whole), least, passed):
         why = "the whole space is proved without it, and every start arrives"
-        return _decided(made, (*passed, Passed("default", why)))
-    made.append(maker.proved(default or maker.made("default", maker.options)))
-    return _decided(made, tuple(passed))
+        return whole, (), (*passed, Passed("default", why))
+    usual = maker.proved(default or maker.made("default", maker.options))
+    return _decided([whole, maker.proved(least), usual], tuple(passed))
 
 
-def _entered(
-    maker: _Maker, trial: _Trial | None, default: _Trial | None, passed: list[Passed]
-) -> Judged | None:
-    """The candidate with its proofs; None where it is none, or asks too much of the inputs."""
-    if trial is None:
+def _is_passed(why: str | None, trial: _Trial, passed: list[Passed]) -> bool:
+    """Whether there is a reason not to prove a candidate; it is kept with the others."""
+    if why is not None:
+        passed.append(Passed(trial.name, why))
+    return why is not None
+
+
+def _overreaches(trial: _Trial, default: _Trial | None) -> str | None:
+    """Why a candidate asks too much of the inputs, where the default arrives with less."""
+    if default is None or default.arrivals < trial.arrivals or trial.beyond <= default.beyond:
         return None
-    if default is not None and default.arrivals >= trial.arrivals:
-        beyond, usual = (int(t.response.exceeded.any(axis=1).sum()) for t in (trial, default))
-        if beyond > usual:
-            count = len(trial.response.arrived)
-            why = f"{beyond} of {count} starts ask for more than the inputs' limits, not {usual}"
-            passed.append(Passed(trial.name, why))
-            return None
-    return maker.proved(trial)
+    count = len(trial.response.arrived)
+    return (
+        f"{trial.beyond} of {count} starts ask for more than the inputs' limits, "
+        f"not {default.beyond}"
+    )
+
+
+def _cannot_win(trial: _Trial, default: Judged) -> str | None:
+    """Why nothing that may be proved of a candidate lets it win against a default that is."""
+    if not default.proved:
+        return None
+    count = len(trial.response.arrived)
+    if trial.arrivals < default.arrivals:
+        return f"{trial.arrivals} of {count} starts arrive with it, not {default.arrivals}"
+    if trial.arrivals > default.arrivals:
+        return None
+    ratio = cost_ratio(trial.response.cost, default.response.cost)
+    if ratio is not None and ratio > 1 + NEAR:
+        return f"it costs {ratio:.3g} times as much"
+    usual = default.response.beyond
+    if trial.beyond > usual:
+        return f"{trial.beyond} of {count} starts ask for more than the inputs' limits, not {usual}"
+    return None
+
+
+def _saves_nothing(trial: _Trial, whole: Judged) -> str | None:
+    """Why a candidate cannot win against one that is proved everywhere and arrives."""
+    count = len(trial.response.arrived)
+    if trial.arrivals < count:
+        return f"{trial.arrivals} of {count} starts arrive with it, not {count}"
+    ratio = cost_ratio(trial.response.cost, whole.response.cost)
+    if ratio is not None and ratio < 1 - NEAR:
+        return None
+    times = "about as much" if ratio is None else f"{ratio:.3g} times as much"
+    return f"it costs {times}, and no more can be proved of it"
 
 
 def _decided(made: list[Judged], passed: tuple[Passed, ...]) -> _Chosen:
@@ -236,20 +270,6 @@ def _least_cost(maker: _Maker) -> _Trial | None:
     return trial if found else None
 
 
-def _not_worth_a_proof(trial: _Trial, whole: Judged | None) -> str | None:
-    """Why a candidate cannot win against one that is proved everywhere."""
-    if whole is None:
-        return None
-    count = len(trial.response.arrived)
-    if trial.arrivals < count:
-        return f"{trial.arrivals} of {count} starts arrive with it, not {count}"
-    ratio = cost_ratio(trial.response.cost, whole.response.cost)
-    if ratio is not None and ratio < 1 - NEAR:
-        return None
-    times = "about as much" if ratio is None else f"{ratio:.3g} times as much"
-    return f"it costs {times}, and no more can be proved of it"
-
-
 @dataclass(frozen=True, eq=False)
 class _Trial:
     """A candidate of which nothing is proved yet."""
@@ -264,6 +284,11 @@ class _Trial:
     def arrivals(self) -> int:
         """How many starts arrive."""
         return int(self.response.arrived.sum())
+
+    @property
+    def beyond(self) -> int:
+        """How many starts ask for more than the inputs' limits."""
+        return self.response.beyond
 
 
 @dataclass(frozen=True, eq=False)

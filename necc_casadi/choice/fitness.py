@@ -93,7 +93,7 @@ def _beyond_limits(kept: Judged) -> str:
     response, plant = kept.response, kept.design.loop.plant
     limits = plant.u_limits or ()
     worst = np.asarray(response.exceeded.any(axis=0)).tolist()
-    starts = int(response.exceeded.any(axis=1).sum())
+    starts = response.beyond
     parts = [
         f"|{name}| up to {peak:.3g}, limits {float(lo):.4g} … {float(hi):.4g}"
         for name, peak, (lo, hi), over in zip(

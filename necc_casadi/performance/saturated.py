@@ -95,6 +95,11 @@ class Saturated:
         return tuple(sorted(settled | set(map(int, np.flatnonzero(self.lost)))))
 
     @property
+    def beyond(self) -> int:
+        """How many starts ask for an input beyond the limits."""
+        return int(self.exceeded.any(axis=1).sum())
+
+    @property
     def keeps_limits(self) -> bool:
         """Whether no start asks for an input beyond the limits."""
         return not self.exceeded.any()

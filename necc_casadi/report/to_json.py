@@ -162,7 +162,7 @@ def _arrivals(choice: Choice) -> dict[str, Any]:
         "elsewhere": [{"at": dict(e.at), "starts": len(e.starts)} for e in response.elsewhere],
         "lost": int(response.lost.sum()),
         "peak_u": response.peak_u.max(axis=0).tolist(),
-        "beyond_limits": int(response.exceeded.any(axis=1).sum()),
+        "beyond_limits": response.beyond,
         "lower_minimum": None if lower is None else {"at": dict(lower.at), "below": lower.below},
     }
 
