@@ -23,13 +23,13 @@ from necc_casadi.casimirs.casimirs import Casimirs
 from necc_casadi.certificate.claims.certificate import Certificate
 from necc_casadi.certificate.prover.certify import certify
 from necc_casadi.choice.decide import NEAR, Passed, decide
-from necc_casadi.choice.judged import Judged, Name, cost_ratio
+from necc_casadi.choice.judged import Judged, Name, Trial, cost_ratio
 from necc_casadi.designs.design import Design
 from necc_casadi.designs.outcome import Start, solver_seconds
 from necc_casadi.model.closed_loop import ClosedLoop
 from necc_casadi.model.cost import QuadraticCost, bryson
 from necc_casadi.performance.other_minima import LowerMinimum, lower_minimum
-from necc_casadi.performance.saturated import Saturated, lqr_costs, saturated
+from necc_casadi.performance.saturated import lqr_costs, saturated
 from necc_casadi.performance.shares import plant_share, unclipped_share
 from necc_casadi.synthesis.options import Options
 from necc_casadi.synthesis.plan import make_plan, whole_space_stiffness
@@ -39,7 +39,8 @@ from necc_casadi.verdict.verdict import Verdict
 __all__ = ["Choice", "choose"]
 
 
-#: A whole-space design that costs no more than this multiple of LQR's cost leaves nothing to win.
+#: A whole-space design that costs no more than this multiple of LQR's cost leaves too little to win
+#: for the time that another takes.
 _NEAR_LQR = 1.15
 
 
@@ -144,21 +145,28 @@ def _chosen(maker: _Maker) -> _Chosen:
     if not _is_open(maker.verdict, maker.options):
         name: Name = "as asked" if _asks(maker.options) else "default"
         return maker.proved(maker.made(name, maker.options)), (), ()
+    passed = list[Passed]()
     limited = maker.loop.plant.u_limits is not None
     default = maker.made("default", maker.options) if limited else None
-    passed = list[Passed]()
     trial = _whole_space(maker)
     whole = None
     if trial is not None and not _is_passed(_overreaches(trial, default), trial, passed):
         whole = maker.proved(trial)
-    if whole is None or not _is_sound(whole):
-        made = [] if whole is None else [whole]
-        usual = maker.proved(default or maker.made("default", maker.options))
-        least = _least_cost(maker)
-        if least is not None and not _is_passed(_cannot_win(least, usual), least, passed):
-            made.append(maker.proved(least))
-        return _decided([*made, usual], tuple(passed))
-    if _is_cheap(whole):
+    if whole is not None and _is_sound(whole):
+        return _beside_the_whole_space(maker, whole, default, passed)
+    usual = maker.proved(default or maker.made("default", maker.options))
+    made = [usual] if whole is None else [whole, usual]
+    least = _least_cost(maker)
+    if least is not None and not _is_passed(_cannot_win(least, usual), least, passed):
+        made.insert(-1, maker.proved(least))
+    return _decided(made, passed)
+
+
+def _beside_the_whole_space(
+    maker: _Maker, whole: Judged, default: Trial | None, passed: list[Passed]
+) -> _Chosen:
+    """What is kept where a candidate is proved everywhere and every start arrives with it."""
+    if whole.cost_to_lqr is not None and whole.cost_to_lqr <= _NEAR_LQR:
         why = f"the whole space is proved at {whole.cost_to_lqr:.3g} × LQR's cost"
         return whole, (), (*passed, Passed("least cost", why), Passed("default", why))
     least = _least_cost(maker)
@@ -166,46 +174,46 @@ def _chosen(maker: _Maker) -> _Chosen:
         why = "the whole space is proved without it, and every start arrives"
         return whole, (), (*passed, Passed("default", why))
     usual = maker.proved(default or maker.made("default", maker.options))
-    return _decided([whole, maker.proved(least), usual], tuple(passed))
+    return _decided([whole, maker.proved(least), usual], passed)
 
 
-def _is_passed(why: str | None, trial: _Trial, passed: list[Passed]) -> bool:
-    """Whether there is a reason not to prove a candidate; it is kept with the others."""
+def _decided(made: list[Judged], passed: list[Passed]) -> _Chosen:
+    kept, others = decide(made)
+    return kept, tuple(c for c in made if c is not kept), (*passed, *others)
+
+
+def _is_passed(why: str | None, trial: Trial, passed: list[Passed]) -> bool:
+    """Whether there is a reason not to prove a candidate; it joins the others that are not kept."""
     if why is not None:
         passed.append(Passed(trial.name, why))
     return why is not None
 
 
-def _overreaches(trial: _Trial, default: _Trial | None) -> str | None:
-    """Why a candidate asks too much of the inputs, where the default arrives with less."""
-    if default is None or default.arrivals < trial.arrivals or trial.beyond <= default.beyond:
+def _overreaches(trial: Trial, default: Trial | None) -> str | None:
+    """Why a candidate asks too much of the inputs, where as many starts arrive by default."""
+    if default is None or default.arrivals < trial.arrivals:
+        return None
+    beyond, usual = trial.response.beyond, default.response.beyond
+    if beyond <= usual:
         return None
     count = len(trial.response.arrived)
-    return (
-        f"{trial.beyond} of {count} starts ask for more than the inputs' limits, "
-        f"not {default.beyond}"
-    )
+    return f"{beyond} of {count} starts ask for more than the inputs' limits, not {usual}"
 
 
-def _cannot_win(trial: _Trial, default: Judged) -> str | None:
+def _cannot_win(trial: Trial, default: Judged) -> str | None:
     """Why nothing that may be proved of a candidate lets it win against a default that is."""
-    if not default.proved:
+    if not default.proved or trial.arrivals > default.arrivals:
         return None
-    count = len(trial.response.arrived)
     if trial.arrivals < default.arrivals:
+        count = len(trial.response.arrived)
         return f"{trial.arrivals} of {count} starts arrive with it, not {default.arrivals}"
-    if trial.arrivals > default.arrivals:
-        return None
     ratio = cost_ratio(trial.response.cost, default.response.cost)
     if ratio is not None and ratio > 1 + NEAR:
         return f"it costs {ratio:.3g} times as much"
-    usual = default.response.beyond
-    if trial.beyond > usual:
-        return f"{trial.beyond} of {count} starts ask for more than the inputs' limits, not {usual}"
-    return None
+    return _overreaches(trial, default)
 
 
-def _saves_nothing(trial: _Trial, whole: Judged) -> str | None:
+def _saves_nothing(trial: Trial, whole: Judged) -> str | None:
     """Why a candidate cannot win against one that is proved everywhere and arrives."""
     count = len(trial.response.arrived)
     if trial.arrivals < count:
@@ -215,11 +223,6 @@ def _saves_nothing(trial: _Trial, whole: Judged) -> str | None:
         return None
     times = "about as much" if ratio is None else f"{ratio:.3g} times as much"
     return f"it costs {times}, and no more can be proved of it"
-
-
-def _decided(made: list[Judged], passed: tuple[Passed, ...]) -> _Chosen:
-    kept, others = decide(made)
-    return kept, tuple(c for c in made if c is not kept), (*passed, *others)
 
 
 def _is_open(verdict: Verdict, options: Options) -> bool:
@@ -240,16 +243,12 @@ def _is_sound(candidate: Judged) -> bool:
     return candidate.proved and candidate.whole and everything and candidate.fits_limits
 
 
-def _is_cheap(candidate: Judged) -> bool:
-    return candidate.cost_to_lqr is not None and candidate.cost_to_lqr <= _NEAR_LQR
-
-
 def _takes_cost(options: Options) -> bool:
     """Whether damping is free, as the least cost needs it."""
     return options.D is None and options.Dc is None
 
 
-def _whole_space(maker: _Maker) -> _Trial | None:
+def _whole_space(maker: _Maker) -> Trial | None:
     """The candidate with one critical point; None where no stiffness is enough."""
     with maker.stage("design", "whole space", "stiffness"):
         loop, casimirs, verdict = maker.loop, maker.casimirs, maker.verdict
@@ -261,34 +260,13 @@ def _whole_space(maker: _Maker) -> _Trial | None:
     return maker.made("whole space", options)
 
 
-def _least_cost(maker: _Maker) -> _Trial | None:
+def _least_cost(maker: _Maker) -> Trial | None:
     """The candidate of least cost; None where nothing was found that costs less."""
     if not _takes_cost(maker.options):
         return None
     trial = maker.made("least cost", replace(maker.options, least_cost=True))
     found = any(start.mode == "cost" for start in trial.design.starts)
     return trial if found else None
-
-
-@dataclass(frozen=True, eq=False)
-class _Trial:
-    """A candidate of which nothing is proved yet."""
-
-    name: Name
-    options: Options
-    design: Design
-    response: Saturated
-    cost_to_lqr: float | None
-
-    @property
-    def arrivals(self) -> int:
-        """How many starts arrive."""
-        return int(self.response.arrived.sum())
-
-    @property
-    def beyond(self) -> int:
-        """How many starts ask for more than the inputs' limits."""
-        return self.response.beyond
 
 
 @dataclass(frozen=True, eq=False)
@@ -312,7 +290,7 @@ class _Maker:
         yield
         self.seconds[stage] = self.seconds.get(stage, 0.0) + time.perf_counter() - began
 
-    def made(self, name: Name, options: Options) -> _Trial:
+    def made(self, name: Name, options: Options) -> Trial:
         """A candidate, trained and followed from even starts."""
         outcomes: list[Start] = []
 
@@ -330,9 +308,9 @@ class _Maker:
             response = saturated(made, cost)
             if not self._lqr:
                 self._lqr.append(lqr_costs(made, cost, response.starts))
-        return _Trial(name, options, made, response, cost_ratio(response.cost, self._lqr[0]))
+        return Trial(name, options, made, response, cost_ratio(response.cost, self._lqr[0]))
 
-    def proved(self, trial: _Trial) -> Judged:
+    def proved(self, trial: Trial) -> Judged:
         """The candidate with its certificate."""
         made, head = trial.design, "" if trial.name == "as asked" else f"{trial.name}: "
         with self.stage("certify", trial.name, "proving"):
@@ -341,14 +319,7 @@ class _Maker:
             share = plant_share(made, certificate)
             within = unclipped_share(made, certificate)
         return Judged(
-            name=trial.name,
-            options=trial.options,
-            design=made,
-            certificate=certificate,
-            response=trial.response,
-            plant_share=share,
-            unclipped_share=within,
-            cost_to_lqr=trial.cost_to_lqr,
+            **vars(trial), certificate=certificate, plant_share=share, unclipped_share=within
         )
 
 

@@ -64,6 +64,8 @@ def _loses(candidate: Judged, default: Judged) -> str | None:
     """What of the default's region a candidate gives up."""
     if default.whole and not candidate.whole:
         return "the default is proved on the whole space, it is not"
+    if default.converges and not candidate.converges:
+        return "solutions are proved to converge with the default, with it they are not"
     if not candidate.whole and candidate.plant_share < default.plant_share:
         return (
             f"its region holds {100 * candidate.plant_share:.3g} % of the plant's states at rest, "

@@ -1,4 +1,4 @@
-"""A candidate with what is proved of it and how it responds."""
+"""Candidates: how they respond, and what is proved of them."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from necc_casadi.designs.error_bound import ACCEPTED_LOSS, natural_loss
 from necc_casadi.performance.saturated import Saturated
 from necc_casadi.synthesis.options import Options
 
-__all__ = ["Judged", "Name", "cost_ratio"]
+__all__ = ["Judged", "Name", "Trial", "cost_ratio"]
 
 
 #: How a candidate is made: V with one critical point, least cost, neither, or as the options say.
@@ -22,17 +22,28 @@ Name = Literal["whole space", "least cost", "default", "as asked"]
 
 
 @dataclass(frozen=True, eq=False)
-class Judged:
-    """A design and what the choice goes by."""
+class Trial:
+    """A candidate that was followed from the starts, and of which nothing is proved yet."""
 
     name: Name
     options: Options
     design: Design
-    certificate: Certificate
     response: Saturated
+    cost_to_lqr: float | None  # geometric mean over the starts from which both arrive, clipped
+
+    @property
+    def arrivals(self) -> int:
+        """How many starts arrive."""
+        return int(self.response.arrived.sum())
+
+
+@dataclass(frozen=True, eq=False)
+class Judged(Trial):
+    """A candidate with what is proved of it."""
+
+    certificate: Certificate
     plant_share: float  # of the plant's states at rest that the proved region holds
     unclipped_share: float | None  # where inputs keep their limits too; None: they have none
-    cost_to_lqr: float | None  # geometric mean over the starts from which both arrive, clipped
 
     @property
     def proved(self) -> bool:
@@ -45,9 +56,13 @@ class Judged:
         return any(claim.name == "global" and claim.holds for claim in self.certificate.claims)
 
     @property
-    def arrivals(self) -> int:
-        """How many starts arrive."""
-        return int(self.response.arrived.sum())
+    def converges(self) -> bool:
+        """Whether all solutions from where something is proved go to the target."""
+        return any(
+            claim.holds and claim.data.get("follows") == "converges"
+            for claim in self.certificate.claims
+            if claim.name in ("region", "global")
+        )
 
     @property
     def fits_limits(self) -> bool:

@@ -48,6 +48,7 @@ def test_of_those_that_cost_about_the_same_the_larger_region_is_kept():
         ({"proved": False}, "not every claim"),
         ({"arrivals": 9}, "9 of 10 starts arrive with it, not 10"),
         ({"fits_limits": False}, "limits"),
+        ({"converges": False}, "proved to converge with the default"),
         ({"unclipped_share": 0.2}, "20 % of the plant's states at rest, the default's from 30 %"),
         ({"plant_share": 0.4}, "40 % of the plant's states at rest, the default's 50 %"),
     ],
