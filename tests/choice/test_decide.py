@@ -15,6 +15,7 @@ def candidate(name="default", cost=1.0, arrivals=STARTS, **changes):
     response = SimpleNamespace(arrived=arrived, cost=np.where(arrived, cost, np.inf))
     usual = {
         "proved": True,
+        "converges": True,
         "fits_limits": True,
         "whole": False,
         "plant_share": 0.5,
