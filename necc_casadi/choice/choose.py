@@ -44,6 +44,10 @@ __all__ = ["Choice", "choose"]
 _NEAR_LQR = 1.15
 
 
+#: Loops of more states are not trained for least cost: its program grows with their square.
+_MOST_STATES = 12
+
+
 #: Hears what is being done.
 _Say = Callable[[str], None]
 
@@ -166,15 +170,17 @@ def _beside_the_whole_space(
     maker: _Maker, whole: Judged, default: Trial | None, passed: list[Passed]
 ) -> _Chosen:
     """What is kept where a candidate is proved everywhere and every start arrives with it."""
-    if whole.cost_to_lqr is not None and whole.cost_to_lqr <= _NEAR_LQR:
-        why = f"the whole space is proved at {whole.cost_to_lqr:.3g} × LQR's cost"
+    if whole.cost_to_lqr is None or whole.cost_to_lqr <= _NEAR_LQR:
+        dear = "" if whole.cost_to_lqr is None else f" at {whole.cost_to_lqr:.3g} × LQR's cost"
+        why = f"the whole space is proved{dear}"
         return whole, (), (*passed, Passed("least cost", why), Passed("default", why))
     least = _least_cost(maker)
-    if least is None or _is_passed(_saves_nothing(least, whole), least, passed):
-        why = "the whole space is proved without it, and every start arrives"
+    if least is not None and _is_passed(_saves_nothing(least, whole), least, passed):
+        why = "the whole space is proved without it, and no start goes elsewhere"
         return whole, (), (*passed, Passed("default", why))
     usual = maker.proved(default or maker.made("default", maker.options))
-    return _decided([whole, maker.proved(least), usual], passed)
+    others = [whole] if least is None else [whole, maker.proved(least)]
+    return _decided([*others, usual], passed)
 
 
 def _decided(made: list[Judged], passed: list[Passed]) -> _Chosen:
@@ -216,8 +222,8 @@ def _cannot_win(trial: Trial, default: Judged) -> str | None:
 def _saves_nothing(trial: Trial, whole: Judged) -> str | None:
     """Why a candidate cannot win against one that is proved everywhere and arrives."""
     count = len(trial.response.arrived)
-    if trial.arrivals < count:
-        return f"{trial.arrivals} of {count} starts arrive with it, not {count}"
+    if trial.arrivals < whole.arrivals:
+        return f"{trial.arrivals} of {count} starts arrive with it, not {whole.arrivals}"
     ratio = cost_ratio(trial.response.cost, whole.response.cost)
     if ratio is not None and ratio < 1 - NEAR:
         return None
@@ -239,13 +245,14 @@ def _asks(options: Options) -> bool:
 
 def _is_sound(candidate: Judged) -> bool:
     """Whether the whole space is proved, and no start says otherwise."""
-    everything = bool(candidate.response.arrived.all())
-    return candidate.proved and candidate.whole and everything and candidate.fits_limits
+    against = candidate.response.strayed or not candidate.fits_limits
+    return candidate.proved and candidate.whole and not against
 
 
-def _takes_cost(options: Options) -> bool:
-    """Whether damping is free, as the least cost needs it."""
-    return options.D is None and options.Dc is None
+def _takes_cost(maker: _Maker) -> bool:
+    """Whether damping is free, as the least cost needs it, and the loop small enough for it."""
+    free = maker.options.D is None and maker.options.Dc is None
+    return free and maker.loop.n <= _MOST_STATES
 
 
 def _whole_space(maker: _Maker) -> Trial | None:
@@ -256,13 +263,13 @@ def _whole_space(maker: _Maker) -> Trial | None:
         stiffness = whole_space_stiffness(plan)
     if stiffness is None:
         return None
-    options = replace(maker.options, whole=True, least_cost=_takes_cost(maker.options))
+    options = replace(maker.options, whole=True, least_cost=_takes_cost(maker))
     return maker.made("whole space", options)
 
 
 def _least_cost(maker: _Maker) -> Trial | None:
     """The candidate of least cost; None where nothing was found that costs less."""
-    if not _takes_cost(maker.options):
+    if not _takes_cost(maker):
         return None
     trial = maker.made("least cost", replace(maker.options, least_cost=True))
     found = any(start.mode == "cost" for start in trial.design.starts)

@@ -261,7 +261,9 @@ def _starts(kept: Judged) -> str:
     limited = kept.design.loop.plant.u_limits is not None
     clipped = ", inputs clipped to their limits" if limited else ""
     dear = "" if kept.cost_to_lqr is None else f"; cost {kept.cost_to_lqr:.3g} × LQR"
-    return f"{text}{clipped}{dear} (simulated)"
+    unknown = len(response.arrived) - kept.arrivals - len(response.strayed)
+    way = f", {unknown} were not followed to an end" if unknown else ""
+    return f"{text}{clipped}{way}{dear} (simulated)"
 
 
 def _region_rows(found: Findings, certificate: Certificate) -> list[tuple[str, str]]:
