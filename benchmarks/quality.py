@@ -3,7 +3,8 @@
 For each example: cost over the least cost (geometric mean and worst of 20 starts, drawn from the
 domain with a fixed seed), of LQR, of the plain default and of the design that the tool keeps; phase
 and disk margins at the plant's input; how many starts arrive; what is proved: the whole space, or
-the share of the plant's states at rest that the region holds; seconds of design and proofs.
+the share of the plant's states at rest that the region holds; processor seconds of design and
+proofs.
 
     python benchmarks/quality.py [NAME ...]
 
@@ -94,13 +95,13 @@ def row(label: str) -> list[str]:
     """One line of the table."""
     name, target, convex = CASES[label]
     parts, options = task(name, target).parts, Options(convex=convex)
-    began = time.perf_counter()
+    began = time.process_time()
     plain = design(*parts, options)
     certificate = certify(plain)
-    linear, before = cells(plain, certificate, time.perf_counter() - began)
-    began = time.perf_counter()
+    linear, before = cells(plain, certificate, time.process_time() - began)
+    began = time.process_time()
     choice = choose(*parts, options)
-    _, after = cells(choice.design, choice.certificate, time.perf_counter() - began)
+    _, after = cells(choice.design, choice.certificate, time.process_time() - began)
     return [label, linear, *before, *after, choice.kept.name]
 
 
