@@ -31,8 +31,8 @@ from necc_casadi import (
 )
 from necc_casadi.certificate.checker.check import check
 from necc_casadi.model.target import parse_target, target_from_model
+from necc_casadi.performance.shares import sampled_share
 from necc_casadi.report.findings import global_claim
-from necc_casadi.report.shares import sampled_share
 from necc_casadi.simulation.convergence import simulated_share
 
 EXAMPLES = Path(__file__).parent.parent / "examples"

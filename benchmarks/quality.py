@@ -1,8 +1,10 @@
 """Responses of the examples beside LQR and the optimum, as a table in Markdown.
 
 For each example: cost over the least cost (geometric mean and worst of 20 starts, drawn from the
-domain with a fixed seed), of LQR, of the default design and of that of least quadratic cost; phase
-and disk margins at the plant's input; how many starts arrive; seconds of the design.
+domain with a fixed seed), of LQR, of the plain default and of the design that the tool keeps; phase
+and disk margins at the plant's input; how many starts arrive; what is proved: the whole space, or
+the share of the plant's states at rest that the region holds; processor seconds of design and
+proofs.
 
     python benchmarks/quality.py [NAME ...]
 
@@ -15,10 +17,23 @@ from __future__ import annotations
 import sys
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
-from necc_casadi import Design, Options, design, find_casimirs, judge, load_model, parse_target
+from necc_casadi import (
+    Certificate,
+    Design,
+    Options,
+    certify,
+    choose,
+    design,
+    find_casimirs,
+    judge,
+    load_model,
+    parse_target,
+)
 from necc_casadi.model.target import target_from_model
-from necc_casadi.performance.measure import Performance, measure
+from necc_casadi.performance.measure import measure
+from necc_casadi.performance.shares import plant_share
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 
@@ -37,20 +52,18 @@ CASES: dict[str, tuple[str, str | None, bool]] = {
     "TORA": ("tora", None, False),
     "satellite": ("satellite", None, False),
 }
-HEADER = ("plant", "LQR", *("cost", "margins", "arrive", "s") * 2)
+HEADER = ("plant", "LQR", *("cost", "margins", "arrive", "proved", "s") * 2, "kept")
 
 
-def made(name: str, target: str | None, options: Options) -> tuple[Design, float]:
-    """A design, and the seconds that training took."""
+def task(name: str, target: str | None) -> SimpleNamespace:
+    """A judged target of an example."""
     model = load_model(EXAMPLES / f"{name}.py")
     plant = model.loop.plant
     given = model.target if target is None else None
     x_star = parse_target(plant, target or "") if given is None else target_from_model(plant, given)
     casimirs = find_casimirs(model.loop, model.casimirs, x_star)
     verdict = judge(model.loop, casimirs, x_star)
-    began = time.perf_counter()
-    result = design(model.loop, casimirs, verdict, x_star, options)
-    return result, time.perf_counter() - began
+    return SimpleNamespace(parts=(model.loop, casimirs, verdict, x_star))
 
 
 def ratio(mean: float | None, worst: float | None) -> str:
@@ -58,13 +71,24 @@ def ratio(mean: float | None, worst: float | None) -> str:
     return "–" if mean is None or worst is None else f"{mean:.2f}/{worst:.2f}"
 
 
-def cells(found: Performance, seconds: float) -> list[str]:
-    """Ratio, margins, arrivals and time."""
-    margins = found.design.margins
-    return [
+def proved(made: Design, certificate: Certificate) -> str:
+    """The whole space, or a share of the plant's states at rest."""
+    whole = any(claim.name == "global" and claim.holds for claim in certificate.claims)
+    if certificate.is_global:
+        return "global"
+    return "one minimum" if whole else f"{100 * plant_share(made, certificate):.0f} %"
+
+
+def cells(made: Design, certificate: Certificate, seconds: float) -> tuple[str, list[str]]:
+    """LQR's ratio; ratio, margins, arrivals, proved share and time of a design."""
+    found = measure(made)
+    margins, lqr = found.design.margins, found.lqr
+    linear = "–" if lqr is None else ratio(lqr.cost_to_optimum, lqr.worst_to_optimum)
+    return linear, [
         ratio(found.design.cost_to_optimum, found.design.worst_to_optimum),
         "–" if margins is None else f"{margins.phase_deg:.0f}°, {margins.disk:.2f}",
         f"{100 * found.design.converging_share:.0f} %",
+        proved(made, certificate),
         f"{seconds:.2f}",
     ]
 
@@ -72,14 +96,15 @@ def cells(found: Performance, seconds: float) -> list[str]:
 def row(label: str) -> list[str]:
     """One line of the table."""
     name, target, convex = CASES[label]
-    result, linear = [], "–"
-    for least_cost in (False, True):
-        design_, seconds = made(name, target, Options(convex=convex, least_cost=least_cost))
-        found = measure(design_)
-        if found.lqr is not None:
-            linear = ratio(found.lqr.cost_to_optimum, found.lqr.worst_to_optimum)
-        result += cells(found, seconds)
-    return [label, linear, *result]
+    parts, options = task(name, target).parts, Options(convex=convex)
+    began = time.process_time()
+    plain = design(*parts, options)
+    certificate = certify(plain)
+    linear, before = cells(plain, certificate, time.process_time() - began)
+    began = time.process_time()
+    choice = choose(*parts, options)
+    _, after = cells(choice.design, choice.certificate, time.process_time() - began)
+    return [label, linear, *before, *after, choice.kept.name]
 
 
 def main(chosen: list[str]) -> None:

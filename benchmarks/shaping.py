@@ -24,7 +24,7 @@ from necc_casadi import Design, Options, certify, design, find_casimirs, judge, 
 from necc_casadi.cases import Shape
 from necc_casadi.model.samples import quasi_random
 from necc_casadi.model.target import parse_target, target_from_model
-from necc_casadi.report.shares import sampled_share
+from necc_casadi.performance.shares import sampled_share
 from necc_casadi.simulation.responses import default_horizon, random_states
 
 EXAMPLES = Path(__file__).parent.parent / "examples"

@@ -2,8 +2,8 @@
 
 The input is the averaged voltage of the bridge, duty times supply; charge and flux are the states.
 A resistive load would dissipate at rest: see parallel_rlc.py for what is refused then.
-Source: Erickson, Maksimović, Fundamentals of Power Electronics (2001), averaged models, with numbers
-typical of 100 W.
+Source: Erickson, Maksimović, Fundamentals of Power Electronics (2001), averaged models, with
+numbers typical of 100 W.
 Try: necc-design buck_filter.py
 """
 

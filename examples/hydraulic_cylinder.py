@@ -3,8 +3,8 @@
 The state w is the volume by which the oil is compressed, its pressure β w/V. With an integrator of
 that pressure there is no Casimir; with a second controller state w + A q − ξ1 is one. Leakage would
 dissipate at rest, which this structure does not allow: it is left out.
-Source: Merritt, Hydraulic Control Systems (1967), chapter 6, valve and cylinder, with numbers typical
-of a machine tool.
+Source: Merritt, Hydraulic Control Systems (1967), chapter 6, valve and cylinder, with numbers
+typical of a machine tool.
 Try: necc-design hydraulic_cylinder.py
 """
 

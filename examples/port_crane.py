@@ -1,9 +1,9 @@
-"""Trolley of a ship-to-shore crane with a container of 20 t on ropes of 15 m: travel 20 m, no swing.
+"""Trolley of a ship-to-shore crane, a container of 20 t on ropes of 15 m: travel 20 m, no swing.
 
 The force of the trolley's drive is the input; the trolley's position is shaped and the swing
 follows, damped through the coupling.
-Source: Spong, Hutchinson, Vidyasagar, Robot Modeling and Control (2006), for the equations of a cart
-with a pendulum; numbers typical of a container crane.
+Source: Spong, Hutchinson, Vidyasagar, Robot Modeling and Control (2006), for the equations of a
+cart with a pendulum; numbers typical of a container crane.
 Try: necc-design port_crane.py --target s=20,theta=0
 """
 

@@ -30,6 +30,7 @@ if TYPE_CHECKING:  # what _HOME says, for tools that do not run the code
     from necc_casadi.casimirs.find import find_casimirs as find_casimirs
     from necc_casadi.certificate.claims.certificate import Certificate as Certificate
     from necc_casadi.certificate.prover.certify import certify as certify
+    from necc_casadi.choice.choose import choose as choose
     from necc_casadi.designs.design import Design as Design
     from necc_casadi.export.c_project import export_c as export_c
     from necc_casadi.model.closed_loop import ClosedLoop as ClosedLoop
@@ -64,6 +65,7 @@ _HOME = {
     "Trajectory": "simulation.responses",
     "Verdict": "verdict.verdict",
     "certify": "certificate.prover.certify",
+    "choose": "choice.choose",
     "design": "synthesis.synthesis",
     "export_c": "export.c_project",
     "find_casimirs": "casimirs.find",

@@ -6,7 +6,11 @@ import numpy as np
 
 from necc_casadi.designs.design import Design
 
-__all__ = ["gradient_and_hessian", "loss", "natural_loss", "published_bound"]
+__all__ = ["ACCEPTED_LOSS", "gradient_and_hessian", "loss", "natural_loss", "published_bound"]
+
+
+#: A design whose ε, in natural units, is above this fell short, whatever else is proved.
+ACCEPTED_LOSS = 1e-6
 
 
 def natural_loss(design: Design) -> float:

@@ -21,15 +21,16 @@ import sympy as sp
 from necc_casadi.casimirs.casimirs import Casimirs
 from necc_casadi.casimirs.find import find_casimirs
 from necc_casadi.certificate.claims.certificate import Certificate
-from necc_casadi.certificate.prover.certify import certify
+from necc_casadi.choice.choose import Choice, choose
 from necc_casadi.designs.design import Design
-from necc_casadi.designs.outcome import Start, solver_seconds
+from necc_casadi.designs.outcome import Start
 from necc_casadi.errors import InputError
 from necc_casadi.export.sampled_loop import SampledLoop
 from necc_casadi.files import LISTING, check_writable, write_text
 from necc_casadi.folders import whole_folder
 from necc_casadi.model.model_file import Model, load_model
 from necc_casadi.model.spot_checks import check_model_at
+from necc_casadi.performance.shares import sampled_share
 from necc_casadi.pipeline.advice import (
     design_notes,
     model_notes,
@@ -55,9 +56,9 @@ from necc_casadi.report.figures import (
     sweep_figure,
     write_figure,
 )
-from necc_casadi.report.findings import Findings, SweepPoint
+from necc_casadi.report.findings import Findings
 from necc_casadi.report.landscape_figure import landscape_figure
-from necc_casadi.report.shares import sampled_share
+from necc_casadi.report.sweep_point import SweepPoint
 from necc_casadi.simulation.convergence import simulated_share
 from necc_casadi.simulation.responses import Trajectory, random_states, simulate
 from necc_casadi.synthesis.asked import Answer
@@ -120,14 +121,15 @@ def run_design(request: Request, say: Say) -> Findings:
 
 def _made(request: Request, task: _Task, found: Findings, folder: Path, clock: Clock) -> Findings:
     """Everything after a favourable verdict; files go into `folder`."""
-    answer = _designed(task, clock)
-    made = answer.design
-    certificate = _certified(made, clock)
+    choice = _chosen(task, clock)
+    made, certificate = choice.design, choice.certificate
     files = _saved(made, certificate, folder)
     with ThreadPoolExecutor(1) as pool:  # compilers run while the loop is simulated and drawn
         exported = pool.submit(_exported, request, made, certificate, folder, clock)
         motion, share = _simulated(made, clock), sampled_share(made, certificate)
-        sweep = () if request.sweep_a is None else _swept(request.sweep_a, task, clock)
+        sweep: tuple[SweepPoint, ...] = ()
+        if request.sweep_a is not None:
+            sweep = _swept(request.sweep_a, task, choice.kept.options, clock)
         performance = _compared(request, task, made, clock) if request.compare else None
         drawn = _drawn(
             request, made, certificate, motion.responses, sweep, performance, folder, clock
@@ -137,11 +139,12 @@ def _made(request: Request, task: _Task, found: Findings, folder: Path, clock: C
         found,
         design=made,
         certificate=certificate,
+        choice=choice,
         responses=motion.responses,
         domain_share=share,
         simulated_share=motion.share,
         sampling=export.sampling,
-        asked=answer.asked,
+        asked=choice.kept.asked,
         performance=performance,
         sweep=sweep,
         notes=(
@@ -210,18 +213,13 @@ def _answered(task: _Task, options: Options, say: Say) -> Answer:
     return answered(task.model.loop, task.casimirs, task.verdict, task.x_star, options, report)
 
 
-def _designed(task: _Task, clock: Clock) -> Answer:
-    """Train and damp."""
-    with clock.stage("design", "training"):
-        answer = _answered(task, task.options, clock.say)
-    clock.timings["solve"] = solver_seconds(answer.design.starts)
-    return answer
-
-
-def _certified(made: Design, clock: Clock) -> Certificate:
-    """Prove what can be proved."""
-    with clock.stage("certify", "proving"):
-        return certify(made, report=lambda stage, _: clock.say(f"proving: {stage}"))
+def _chosen(task: _Task, clock: Clock) -> Choice:
+    """Train, damp and prove what the options leave to choose from, and keep one."""
+    choice = choose(
+        task.model.loop, task.casimirs, task.verdict, task.x_star, task.options, clock.say
+    )
+    clock.timings.update(choice.seconds)
+    return choice
 
 
 def _saved(made: Design, certificate: Certificate, out: Path) -> list[Path]:
@@ -309,12 +307,14 @@ def _exported(
     return _Export(tuple(files), sampling)
 
 
-def _swept(values: tuple[float, float, int], task: _Task, clock: Clock) -> tuple[SweepPoint, ...]:
-    """Designs for a range of a, whether a network can reach it or not."""
+def _swept(
+    values: tuple[float, float, int], task: _Task, options: Options, clock: Clock
+) -> tuple[SweepPoint, ...]:
+    """Designs made like the one that is kept, whether a network can reach their a or not."""
     with clock.stage("sweep", "sweeping a"):
         return sweep_a(
             values,
-            lambda a: _trained(task, replace(task.options, a=a, keep_a=True), clock.say),
+            lambda a: _trained(task, replace(options, a=a, keep_a=True), clock.say),
             clock.say,
         )
 

@@ -9,9 +9,9 @@ import numpy as np
 from necc_casadi.certificate.prover.certify import certify
 from necc_casadi.designs.design import Design
 from necc_casadi.designs.measures import measure
+from necc_casadi.performance.shares import sampled_share
 from necc_casadi.pipeline.clock import Say
-from necc_casadi.report.findings import SweepPoint
-from necc_casadi.report.shares import sampled_share
+from necc_casadi.report.sweep_point import SweepPoint
 from necc_casadi.simulation.convergence import simulated_share
 
 __all__ = ["sweep_a"]

@@ -18,8 +18,8 @@ from necc_casadi.certificate.claims.regions import Side
 from necc_casadi.designs.design import Design
 from necc_casadi.files import write_text
 from necc_casadi.model.sizes import input_names
-from necc_casadi.report.findings import SweepPoint
 from necc_casadi.report.slices import Window, domain_window, shadow, slice_boundary, slice_values
+from necc_casadi.report.sweep_point import SweepPoint
 from necc_casadi.report.ticks import engineering, finished, logarithmic, panels
 from necc_casadi.simulation.responses import Trajectory
 

@@ -12,11 +12,14 @@ import sympy as sp
 from necc_casadi.casimirs.casimirs import Casimirs
 from necc_casadi.certificate.claims.certificate import Certificate
 from necc_casadi.certificate.claims.claim import Claim
+from necc_casadi.choice.choose import Choice
+from necc_casadi.choice.fitness import response_faults, response_warnings
 from necc_casadi.designs.design import Design
-from necc_casadi.designs.error_bound import natural_loss
+from necc_casadi.designs.error_bound import ACCEPTED_LOSS, natural_loss
 from necc_casadi.designs.measures import Measures, measure
 from necc_casadi.export.sampled_loop import SampledLoop
 from necc_casadi.model.closed_loop import ClosedLoop
+from necc_casadi.report.sweep_point import SweepPoint
 from necc_casadi.simulation.responses import Trajectory
 from necc_casadi.verdict.verdict import Verdict
 
@@ -24,28 +27,7 @@ if TYPE_CHECKING:
     from necc_casadi.performance.measure import Performance
     from necc_casadi.synthesis.asked import Asked
 
-__all__ = ["Findings", "SweepPoint", "attracts", "global_claim", "region_claim"]
-
-
-#: A design whose ε, in natural units, is above this fell short, whatever else is proved.
-ACCEPTED_LOSS = 1e-6
-
-
-@dataclass(frozen=True)
-class SweepPoint:
-    """What one value of a gave: the paper's third figure, and the proved region.
-
-    Shares are of the domain, momenta at rest.
-    """
-
-    a: float
-    loss: float  # ε
-    distance: float  # ‖z̄ − z*‖
-    bound_paper: float | None  # ε/(a − ε), None where a ≤ ε
-    bound_rigorous: float | None  # g/μ, None where nothing was proved
-    domain_share: float | None = None  # sampled, in the proved region; None: none is proved
-    simulated_share: float | None = None  # converges in simulation; None: not known
-    limited_by: str | None = None  # what keeps the proved region from growing
+__all__ = ["Findings", "attracts", "global_claim", "region_claim"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,6 +40,7 @@ class Findings:
     verdict: Verdict | None = None
     design: Design | None = None
     certificate: Certificate | None = None
+    choice: Choice | None = None  # why this design, and how it responds with clipped inputs
     responses: Sequence[Trajectory] = ()
     domain_share: float | None = None  # of random states of the domain, momenta at rest, in Ω
     simulated_share: float | None = None  # of such states, from which the loop converges
@@ -84,11 +67,18 @@ class Findings:
             return "assignable" if known else "undecided"
         certified = self.certificate is not None and self.certificate.certified
         certified = certified and (self.asked is None or self.asked.met)
-        return (
-            "certified"
-            if certified and natural_loss(self.design) <= ACCEPTED_LOSS
-            else "fell_short"
-        )
+        fit = certified and natural_loss(self.design) <= ACCEPTED_LOSS and not self.faults
+        return "certified" if fit else "fell_short"
+
+    @property
+    def faults(self) -> tuple[str, ...]:
+        """What the response has against what is claimed: nothing is certified then."""
+        return () if self.choice is None else response_faults(self.choice.kept)
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What the response has beyond what is claimed, and V elsewhere."""
+        return () if self.choice is None else response_warnings(self.choice)
 
     @property
     def exit_code(self) -> int:

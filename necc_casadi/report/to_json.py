@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Any
 from necc_casadi.arrays import Vector
 from necc_casadi.casimirs.casimirs import Casimirs
 from necc_casadi.certificate.claims.certificate import Certificate
+from necc_casadi.choice.choose import Choice
+from necc_casadi.choice.judged import Judged
 from necc_casadi.designs.design import Design
 from necc_casadi.designs.measures import Measures
 from necc_casadi.designs.outcome import Start
@@ -40,6 +42,10 @@ def to_json(found: Findings) -> dict[str, Any]:
         "certificate": None
         if found.certificate is None
         else _certificate(found.certificate, found),
+        "choice": None if found.choice is None else _choice(found.choice),
+        "arrivals": None if found.choice is None else _arrivals(found.choice),
+        "faults": found.faults,
+        "warnings": found.warnings,
         "sizes": None if found.design is None else found.design.named_sizes,
         "responses": [_response(r) for r in found.responses] or None,
         "sampling": None if found.sampling is None else vars(found.sampling),
@@ -180,6 +186,41 @@ def _certificate(certificate: Certificate, found: Findings) -> dict[str, Any]:
         "domain_share": found.domain_share,
         "simulated_share": found.simulated_share,
         "global": certificate.is_global,
+    }
+
+
+def _choice(choice: Choice) -> dict[str, Any]:
+    return {
+        "kept": choice.kept.name,
+        "reason": choice.reason,
+        "made": [_judged(judged) for judged in (choice.kept, *choice.others)],
+        "instead_of": [{"name": p.name, "because": p.because} for p in choice.passed],
+    }
+
+
+def _judged(judged: Judged) -> dict[str, Any]:
+    return {
+        "name": judged.name,
+        "certified": judged.proved,
+        "global": judged.whole,
+        "plant_share": judged.plant_share,
+        "unclipped_share": judged.unclipped_share,
+        "arrived": judged.arrivals,
+        "cost_to_lqr": judged.cost_to_lqr,
+        "peak_u": judged.response.peak_u.max(axis=0).tolist(),
+    }
+
+
+def _arrivals(choice: Choice) -> dict[str, Any]:
+    response, lower = choice.kept.response, choice.lower
+    return {
+        "starts": len(response.arrived),
+        "arrived": choice.kept.arrivals,
+        "elsewhere": [{"at": dict(e.at), "starts": len(e.starts)} for e in response.elsewhere],
+        "lost": int(response.lost.sum()),
+        "peak_u": response.peak_u.max(axis=0).tolist(),
+        "beyond_limits": response.beyond,
+        "lower_minimum": None if lower is None else {"at": dict(lower.at), "below": lower.below},
     }
 
 

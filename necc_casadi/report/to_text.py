@@ -11,6 +11,7 @@ import sympy as sp
 
 from necc_casadi.casimirs.casimirs import Casimirs
 from necc_casadi.certificate.claims.certificate import Certificate
+from necc_casadi.choice.judged import Judged
 from necc_casadi.designs.design import Design
 from necc_casadi.designs.measures import Measures
 from necc_casadi.designs.outcome import Residual, solver_seconds
@@ -56,7 +57,7 @@ _NOTHING = 1e-20
 def summary(found: Findings, width: int = _WIDTH) -> str:
     """A page that says what was found, proved and written, in lines of so many columns."""
     loop, verdict, casimirs = found.loop, found.verdict, found.casimirs
-    lines = [f"{loop.plant.name}: {_outcome(found)}", ""]
+    lines = [_headline(f"{loop.plant.name}: {_outcome(found)}", width), ""]
     rows = [("target", _target(found))]
     if casimirs is not None:
         rows.append(("Casimirs", _casimirs(casimirs)))
@@ -67,12 +68,16 @@ def summary(found: Findings, width: int = _WIDTH) -> str:
         rows += _design_rows(found.design, found.measures, found.certificate)
     if found.design is not None and found.design.learned is not None:
         rows.append(("learned", _learned(found.design.learned)))
+    if found.choice is not None and found.choice.was_made:
+        rows.append(("choice", found.choice.reason))
     if found.asked is not None:
         rows.append(("asked" if found.asked.met else "NOT met", asked_text(found.asked)))
     if found.performance is not None:
         rows += _compared_rows(found.performance, loop.plant)
     if found.responses:
         rows.append(("responses", _responses(found)))
+    if found.choice is not None:
+        rows.append(("starts", _starts(found.choice.kept)))
     if found.sampling is not None:
         rows.append(("sampled", _sampled(found.sampling)))
     if found.certificate is not None:
@@ -87,6 +92,12 @@ def summary(found: Findings, width: int = _WIDTH) -> str:
     if found.timings:
         rows.append(("seconds", ", ".join(f"{k} {v:.2g}" for k, v in found.timings.items())))
     return "\n".join(lines + [_wrapped(label, text, width) for label, text in rows])
+
+
+def _headline(text: str, width: int) -> str:
+    return textwrap.fill(
+        text, width, subsequent_indent="  ", break_long_words=False, break_on_hyphens=False
+    )
 
 
 def _wrapped(label: str, text: str, width: int) -> str:
@@ -106,17 +117,24 @@ def _tied(text: str) -> str:
 
 
 def _outcome(found: Findings) -> str:
+    """The outcome; what is wrong comes first."""
     certificate = found.certificate
     if found.status == "certified" and certificate is not None:
         kind = "asymptotically stable" if certificate.stability == "asymptotic" else "only stable"
-        return f"certified, {kind}"
+        if not found.warnings:
+            return f"certified, {kind}"
+        whole = found.choice is not None and found.choice.kept.whole
+        where = "as long as no input is clipped" if whole else "in the proved region alone"
+        return f"{'; '.join(found.warnings)}; certified, {kind} {where}"
     if found.status == "fell_short" and found.asked is not None and not found.asked.met:
         return f"fell short: {missed(found.asked)}"
+    proved = certificate is not None and certificate.certified
+    short = [*found.faults, *(() if proved and found.faults else ("not every claim is proved",))]
     return {
         "assignable": "the target is assignable",
         "refused": "refused, with proof",
         "undecided": "undecided",
-        "fell_short": "fell short: not every claim is proved",
+        "fell_short": "; ".join([f"fell short: {short[0]}", *short[1:], *found.warnings]),
     }[found.status]
 
 
@@ -255,6 +273,20 @@ def _responses(found: Findings) -> str:
     limited = sum(r.saturated for r in found.responses)
     text += f"; peak |u| {peak:.3g}" + (f", at a limit in {limited}" if limited else "")
     return f"{text} (simulated)"
+
+
+def _starts(kept: Judged) -> str:
+    """What becomes of starts that fill the domain, with inputs that are clipped to their limits."""
+    response = kept.response
+    text = f"{kept.arrivals} of {len(response.arrived)} that fill the domain arrive"
+    if kept.certificate.stability != "asymptotic":
+        return f"{len(response.arrived)} that fill the domain: none need arrive"
+    limited = kept.design.loop.plant.u_limits is not None
+    clipped = ", inputs clipped to their limits" if limited else ""
+    dear = "" if kept.cost_to_lqr is None else f"; cost {kept.cost_to_lqr:.3g} × LQR"
+    unknown = len(response.arrived) - kept.arrivals - len(response.strayed)
+    way = f", {unknown} were not followed to an end" if unknown else ""
+    return f"{text}{clipped}{way}{dear} (simulated)"
 
 
 def _region_rows(found: Findings, certificate: Certificate) -> list[tuple[str, str]]:

@@ -58,6 +58,7 @@ class Options:
     state_cost: Vector | None = None  # n × n, of that cost; None: Bryson's rule
     input_cost: Vector | None = None  # m × m
     convex: bool = False  # quadratic parts stiff enough to make V convex everywhere
+    whole: bool = False  # quadratic parts stiff enough for V to have one critical point
     learn_casimir: bool = False  # a network C(z), a Casimir only approximately
     shape: Shape = "none"
     gamma: float | None = None  # of the regulariser; None: 1

@@ -38,14 +38,18 @@ from necc_casadi.synthesis.potential_free import (
 from necc_casadi.synthesis.sample_box import sample_box
 from necc_casadi.synthesis.shaping import Shaping, make_shaping
 from necc_casadi.synthesis.training import STIFFER, Anchor, Penalty
+from necc_casadi.synthesis.uniqueness import kappa_of_one_minimum
 from necc_casadi.verdict.verdict import Verdict
 
-__all__ = ["Plan", "make_plan"]
+__all__ = ["Plan", "make_plan", "whole_space_stiffness"]
 
 #: Hidden layer of a learned Casimir: small enough for exact second derivatives.
 _LEARNED_HIDDEN = (32,)
 #: Curvature asked for by default in natural units, and at most as a share of the ceiling there.
 _DEFAULT_A, _OF_CEILING = 0.5, 0.5
+#: Quadratic parts of a V with one critical point start this much above their lower bound, so that
+#: the damping and they may both be moved by the cost.
+_WHOLE_STIFFER = 1.5
 #: Share of the ceiling a_max that is asked for when the request lies beyond it.
 _BELOW_CEILING = 0.9
 
@@ -57,6 +61,7 @@ class Plan:
     loop: ClosedLoop
     casimirs: Casimirs  # those that V is made of: smooth at x*, or what stands in for them
     in_model: Casimirs  # the same in the units of the model
+    verdict: Verdict
     terms: Terms
     form: Form
     x_star: tuple[sp.Expr, ...]  # (n,)
@@ -116,6 +121,7 @@ def make_plan(
         loop=scaled,
         casimirs=casimirs,
         in_model=in_model,
+        verdict=verdict,
         terms=terms,
         form=form,
         x_star=tuple(x_star[s] / size for s, size in zip(loop.plant.x, state, strict=False)),
@@ -130,7 +136,7 @@ def make_plan(
         extra=None,
     )
     _check_numbers(plan)
-    plan = replace(plan, anchor=_anchor(plan, verdict, options))
+    plan = replace(plan, anchor=_anchor(plan, options))
     if options.learn_casimir:
         penalty = casimir_penalty(terms, form, natural, plan.z, options.seed)
         return replace(plan, extra=penalty)
@@ -172,21 +178,51 @@ def _curvature(
     return a, a, share * sizes.measured_in(units).stiffness
 
 
-def _anchor(plan: Plan, verdict: Verdict, options: Options) -> Anchor:
+def _anchor(plan: Plan, options: Options) -> Anchor:
     """Where training starts, and how stiff the quadratic parts are there."""
     anchor, form = plan.anchor, plan.form
     plain = options.quadratic and form.phi is None and not form.betas
     if plain and is_potential_free(plan.loop, plan.casimirs):
         guess = best_coordinates(plan.terms, plan.x, anchor.xi, plan.natural)
         anchor = Anchor(guess, pull=HELD_XI, stiffness=POTENTIAL_FREE_STIFFNESS)
-    if options.convex:
-        momenta = find_momenta(plan.loop, plan.casimirs, plan.x_star)
-        kappa = least_kappa(
-            plan.terms, plan.scales, verdict, plan.x, anchor.xi, plan.curvature, momenta
-        )
-        stiff = (STIFFER * kappa,) * len(form.networks) if kappa > KAPPA_MIN else anchor.stiffness
+    if options.convex or options.whole:
+        kappa = _least_stiffness(plan, options)
+        start = STIFFER if options.convex else _WHOLE_STIFFER
+        stiff = (start * kappa,) * len(form.networks) if kappa > KAPPA_MIN else anchor.stiffness
         anchor = replace(anchor, kappa_min=kappa, stiffness=stiff)
     return anchor
+
+
+def _least_stiffness(plan: Plan, options: Options) -> float:
+    """The least κ for a V that is convex everywhere, or has one critical point."""
+    if not options.convex:
+        return whole_space_stiffness(plan) or KAPPA_MIN
+    momenta = find_momenta(plan.loop, plan.casimirs, plan.x_star)
+    at = (plan.terms, plan.scales, plan.verdict, plan.x, plan.anchor.xi)
+    return least_kappa(*at, plan.curvature, momenta)
+
+
+def whole_space_stiffness(plan: Plan) -> float | None:
+    """The least κ for a V with one critical point, natural units; None where none is enough."""
+    if not _may_hold_everywhere(plan.loop, plan.casimirs):
+        return None
+    momenta = find_momenta(plan.loop, plan.casimirs, plan.x_star)
+    radian = 1 / plan.units.state
+    return kappa_of_one_minimum(
+        plan.terms, plan.scales, plan.verdict, plan.x, plan.anchor.xi, radian, momenta
+    )
+
+
+def _may_hold_everywhere(loop: ClosedLoop, casimirs: Casimirs) -> bool:
+    """Whether the structure of a loop is one of which a certificate can cover the whole space.
+
+    J, R and G are constant, the Casimirs linear, and H depends on states otherwise than
+    quadratically through sines and cosines only.
+    """
+    constant = not (loop.M.free_symbols or loop.ports.free_symbols)
+    linear = all(not sp.diff(c, s).free_symbols for c in casimirs.functions for s in loop.z)
+    turning = all(isinstance(f, (sp.sin, sp.cos)) for f in loop.plant.H.atoms(sp.Function))
+    return constant and linear and turning
 
 
 def _shaping(plan: Plan, options: Options) -> Shaping | None:

@@ -26,11 +26,11 @@ def test_every_claim_is_checked_again(made):
 
 
 def test_a_claim_that_does_not_hold_is_exit_4(made, tmp_path):
-    """The level is raised by more than any proof could have missed."""
+    """The ball around z* is claimed to be larger than any proof could have missed."""
     shutil.copy(made[0] / "pendulum-design" / "design.json", tmp_path)
     text = (made[0] / "pendulum-design" / "certificate.json").read_text(encoding="utf-8")
     data = json.loads(text)
-    data["level"] = data["region"]["level"] = 10 * data["level"]
+    data["mu"] *= 10
     (tmp_path / "certificate.json").write_text(json.dumps(data), encoding="utf-8")
     code, text, _ = here(_certify, tmp_path)
     assert code == 4

@@ -13,7 +13,7 @@ from necc_casadi.casimirs.find import find_casimirs
 from necc_casadi.certificate.prover.certify import certify
 from necc_casadi.model.model_file import load_model
 from necc_casadi.model.target import parse_target
-from necc_casadi.report.shares import sampled_share
+from necc_casadi.performance.shares import sampled_share
 from necc_casadi.simulation.responses import random_states, simulate
 from necc_casadi.synthesis.options import Options
 from necc_casadi.synthesis.synthesis import design

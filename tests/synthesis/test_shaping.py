@@ -25,7 +25,7 @@ from necc_casadi.lyapunov.parameterization import Form
 from necc_casadi.model.model_file import load_model
 from necc_casadi.model.samples import quasi_random
 from necc_casadi.model.sizes import Sizes
-from necc_casadi.report.shares import sampled_share
+from necc_casadi.performance.shares import sampled_share
 from necc_casadi.synthesis import shaping, training
 from necc_casadi.synthesis.lifting import Lifting
 from necc_casadi.synthesis.options import Level, Options, Regulariser, paper_options

@@ -1,0 +1,112 @@
+"""Designs that are chosen: what the plant allows, what the options leave, and the reason."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from helpers.problems import problem
+
+from necc_casadi.choice.choose import choose
+from necc_casadi.model.model_file import load_model
+from necc_casadi.performance.saturated import saturated
+from necc_casadi.synthesis.options import Options, paper_options
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+SMALL = {"hidden_k": (8,), "hidden_h": (6,)}
+
+
+def chosen(task, options=None, say=None):
+    return choose(task.loop, task.casimirs, task.verdict, task.x_star, options, say)
+
+
+@pytest.fixture(scope="module")
+def pendulums(pendulum):
+    return chosen(pendulum)
+
+
+def test_the_pendulum_is_proved_everywhere_at_about_the_cost_of_lqr(pendulums):
+    assert pendulums.kept.name == "whole space"
+    assert pendulums.certificate.is_global
+    assert pendulums.kept.response.arrived.all()
+    assert 0.9 < pendulums.kept.cost_to_lqr < 1.05
+    assert {p.name for p in pendulums.passed} == {"least cost", "default"}
+    assert pendulums.others == ()  # nothing is made that cannot win
+    assert pendulums.lower is None
+
+
+def test_the_reason_names_every_candidate_once(pendulums):
+    head, _, rest = pendulums.reason.partition("; instead of ")
+    assert head.startswith("kept: whole space (")
+    assert rest.startswith("least cost and default, because the whole space is proved at")
+
+
+def test_the_same_input_keeps_the_same_design(pendulum, pendulums):
+    assert chosen(pendulum).design.hash == pendulums.design.hash
+
+
+def test_every_stage_is_told(pendulum):
+    told = []
+    chosen(pendulum, Options(**SMALL), told.append)
+    for word in ("training", "following starts", "proving: region", "comparing regions"):
+        assert any(text.startswith("whole space: ") and word in text for text in told), word
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        Options(shape="regulariser", **SMALL),
+        Options(convex=True, **SMALL),
+        Options(least_cost=True, **SMALL),
+        Options(phi="neural", **SMALL),
+        paper_options(1),
+    ],
+)
+def test_options_that_say_how_v_is_made_leave_no_choice(pendulum, options):
+    choice = chosen(pendulum, options)
+    assert choice.kept.name == "as asked"
+    assert choice.kept.options == options
+    assert not choice.was_made
+    assert choice.others == choice.passed == ()
+
+
+def test_damping_that_is_given_is_kept(pendulum):
+    D, Dc = np.array([[2.0]]), np.array([[3.0]])
+    choice = chosen(pendulum, Options(D=D, Dc=Dc, **SMALL))
+    assert choice.was_made
+    np.testing.assert_allclose(choice.design.D, D, rtol=1e-12)
+    np.testing.assert_allclose(choice.design.Dc, Dc, rtol=1e-12)
+    assert not choice.design.damping[:1, 1:].any()
+
+
+def test_a_region_of_the_default_is_not_given_up_for_less_cost():
+    """Nothing sees the pole's angle: no global claim, and the default holds more of the plant."""
+    task = problem(load_model(EXAMPLES / "cart_pole.py"), "x=1,theta=pi,p_x=0,p_theta=0")
+    choice = chosen(task)
+    assert choice.kept.name == "default"
+    least = next(other for other in choice.others if other.name == "least cost")
+    assert least.plant_share < choice.kept.plant_share
+    assert least.cost_to_lqr < choice.kept.cost_to_lqr
+    assert "its region holds" in choice.reason
+
+
+def test_a_second_minimum_of_v_loses_to_one_critical_point():
+    """The least-cost V of the DC motor has a lower minimum a turn away, where starts settle."""
+    target = "phi=sqrt(2)/2,p=0,theta=pi/4"
+    task = problem(load_model(EXAMPLES / "dc_motor.py"), target)
+    choice = chosen(task)
+    assert choice.kept.name == "whole space"
+    assert choice.kept.whole
+    assert choice.kept.response.arrived.all()
+    assert "of 40 starts arrive with it" in choice.reason
+    plain = chosen(task, Options(least_cost=True))
+    assert not plain.kept.response.arrived.all()
+    assert plain.lower is not None
+    assert abs(plain.lower.at["theta"] - 2 * np.pi) < 1
+
+
+def test_the_response_is_the_one_that_the_design_gives(pendulums, pendulum):
+    from necc_casadi.model.cost import bryson
+
+    made = pendulums.design
+    again = saturated(made, bryson(made.sizes, 2))
+    np.testing.assert_array_equal(again.cost, pendulums.kept.response.cost)
