@@ -1,0 +1,183 @@
+"""Attack on what is proved: many states of every claimed region, followed by an outside integrator.
+
+    python benchmarks/attack.py [--states 10000] [--only NAME,…]
+
+The plant comes from the model file alone, the controller from the exported C code, both compiled
+and stepped by a fixed-step Runge–Kutta method that is written here. Three quarters of the states
+are in the upper tenth of the level. Counted are states from which V rises, that leave the claimed
+reach, or that are not near the target in the end though they were claimed to converge. Where the
+whole space is claimed, states are drawn from three times the domain.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ctypes
+import subprocess
+import tempfile
+from pathlib import Path
+
+import numpy as np
+import sympy as sp
+
+from necc_casadi import Certificate, Design, choose, find_casimirs, judge, load_model
+from necc_casadi.export.c_project import export_c
+from necc_casadi.model.model_file import Model
+from necc_casadi.model.target import parse_target, target_from_model
+
+EXAMPLES = Path(__file__).parent.parent / "examples"
+TARGETS = {"pendulum": "pi/4"}
+CHECKPOINTS = 60
+LOOP = """
+#include <string.h>
+#include "necc.h"
+#define N (NECC_NX + NECC_NXI)
+static void plant(const double *x, const double *u, double *xdot) {
+@plant@
+}
+static void field(const double *z, double *slope) {
+    double u[NECC_NU];
+    necc_control(z, z + NECC_NX, u, slope + NECC_NX);
+@clip@
+    plant(z, u, slope);
+}
+void follow(int count, double *z, long steps, double dt, int kept, double *out) {
+    for (int row = 0; row < count; row++) {
+        double *s = z + (long)row * N, k1[N], k2[N], k3[N], k4[N], w[N];
+        for (long step = 0; step < steps; step++) {
+            if (step % (steps / kept) == 0 && step / (steps / kept) < kept)
+                memcpy(out + ((long)row * kept + step / (steps / kept)) * N, s, sizeof w);
+            field(s, k1);
+            for (int i = 0; i < N; i++) w[i] = s[i] + dt / 2 * k1[i];
+            field(w, k2);
+            for (int i = 0; i < N; i++) w[i] = s[i] + dt / 2 * k2[i];
+            field(w, k3);
+            for (int i = 0; i < N; i++) w[i] = s[i] + dt * k3[i];
+            field(w, k4);
+            for (int i = 0; i < N; i++) s[i] += dt / 6 * (k1[i] + 2 * k2[i] + 2 * k3[i] + k4[i]);
+        }
+    }
+}
+"""
+
+
+def compiled(model: Model, made: Design, folder: Path, clipped: bool) -> ctypes.CDLL:
+    """The closed loop as a shared library."""
+    plant = model.loop.plant
+    u = sp.symbols(f"u:{plant.m}", real=True)
+    slope = (plant.J - plant.R) * sp.Matrix(plant.grad_H) + plant.G * sp.Matrix(u)
+    names = {s: sp.Symbol(f"x[{i}]") for i, s in enumerate(plant.x)}
+    names |= {v: sp.Symbol(f"u[{k}]") for k, v in enumerate(u)}
+    lines = [f"    xdot[{i}] = {sp.ccode(e.xreplace(names))};" for i, e in enumerate(slope)]
+    limits = plant.u_limits if clipped and plant.u_limits is not None else ()
+    clip = [
+        f"    if (u[{k}] < {float(lo)!r}) u[{k}] = {float(lo)!r};\n"
+        f"    if (u[{k}] > {float(hi)!r}) u[{k}] = {float(hi)!r};"
+        for k, (lo, hi) in enumerate(limits)
+    ]
+    export_c(made, folder)
+    text = LOOP.replace("@plant@", "\n".join(lines)).replace("@clip@", "\n".join(clip))
+    (folder / "loop.c").write_text("#include <math.h>\n" + text, encoding="utf-8")
+    library = folder / "loop.so"
+    command = ["gcc", "-O2", "-shared", "-fPIC", "-std=c99", "-o", library, "loop.c", "necc.c"]
+    subprocess.run([*command, "-lm"], cwd=folder, check=True)
+    return ctypes.CDLL(str(library))
+
+
+def drawn(made: Design, certificate: Certificate, count: int, top: float) -> np.ndarray:
+    """States of the region below a level, or of three times the domain, (count, N)."""
+    rng, region = np.random.default_rng(0), certificate.region
+    z_bar, n = made.z_bar, len(made.z_bar)
+    if region is None:
+        half = 3 * (made.domain.hi - made.domain.lo) / 2
+        return z_bar + rng.uniform(-half, half, (count, n))
+    sides = [
+        (z_bar[i] - np.pi, z_bar[i] + np.pi) if side is None else side
+        for i, side in enumerate((certificate.reach or {}).values())
+    ]
+    lo, hi = np.array(sides).T
+    bottom = made.V(z_bar)
+    found: list[np.ndarray] = []
+    for _ in range(4000):
+        z = z_bar + rng.uniform(0, 1, (4096, 1)) ** (1 / n) * (
+            rng.uniform(lo, hi, (4096, n)) - z_bar
+        )
+        share = (made.lyapunov.V(z) - bottom) / (top - bottom)
+        high = (share <= 1) & ((share > 0.9) | (rng.uniform(size=4096) < 0.02))
+        for row in z[high]:
+            if certificate.contains(made.V, row):
+                found.append(row)
+        if len(found) >= count:
+            break
+    return np.array(found[:count])
+
+
+def attacked(name: str, count: int) -> list[str]:
+    """One row of the table."""
+    model = load_model(EXAMPLES / f"{name}.py")
+    plant, target = model.loop.plant, TARGETS.get(name)
+    x = parse_target(plant, target) if target else target_from_model(plant, model.target)
+    casimirs = find_casimirs(model.loop, model.casimirs, x)
+    verdict = judge(model.loop, casimirs, x)
+    if not verdict.assignable:
+        return [name, "refused", *["–"] * 6]
+    choice = choose(model.loop, casimirs, verdict, x)
+    made, certificate = choice.design, choice.certificate
+    clipped = certificate.level_clipped is not None
+    top = (certificate.level_clipped if clipped else certificate.level) or 0.0
+    starts = drawn(made, certificate, count, top)
+    rates = np.abs(made.spectrum)
+    slow = float(np.min(np.abs(made.spectrum.real)))
+    dt, horizon = 0.02 / rates.max(), 25 / slow
+    steps = int(np.clip(np.ceil(horizon / dt), CHECKPOINTS, 60_000))
+    steps -= steps % CHECKPOINTS
+    with tempfile.TemporaryDirectory() as folder:
+        library = compiled(model, made, Path(folder), clipped)
+        z = np.ascontiguousarray(starts)
+        out = np.empty((len(z), CHECKPOINTS, z.shape[1]))
+        pointer = ctypes.POINTER(ctypes.c_double)
+        library.follow(
+            len(z), z.ctypes.data_as(pointer), ctypes.c_long(steps), ctypes.c_double(dt),
+            CHECKPOINTS, out.ctypes.data_as(pointer),
+        )  # fmt: skip
+    V = made.lyapunov.V(out.reshape(-1, z.shape[1])).reshape(len(z), -1)
+    height = np.maximum(V[:, :1] - made.V(made.z_bar), 1e-300)
+    rises = int((np.diff(V, axis=1) > 1e-7 * height).any(1).sum())
+    left = 0
+    if certificate.region is not None:
+        for i, side in enumerate((certificate.reach or {}).values()):
+            if side is not None:
+                slack = 1e-9 * (side[1] - side[0])
+                beyond = (out[:, :, i] < side[0] - slack) | (out[:, :, i] > side[1] + slack)
+                left += int(beyond.any(1).sum())
+    size = made.sizes.state
+    away = np.abs((z - made.z_bar) / size).max(1)
+    from_start = np.abs((starts - made.z_bar) / size).max(1)
+    follows = [
+        c.data.get("follows")
+        for c in certificate.claims
+        if c.name in ("region", "global") and c.holds
+    ]
+    late = int((away > 0.05 * np.maximum(from_start, 1)).sum())
+    claim = "global" if certificate.is_global else "/".join(str(f) for f in follows)
+    kind = "clipped" if clipped else "–"
+    return [name, claim, kind, *map(str, (len(z), rises, left, late)), f"{steps}"]
+
+
+def main() -> None:
+    """Attack every example and print a Markdown table."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--states", type=int, default=10_000)
+    parser.add_argument("--only", default="")
+    given = parser.parse_args()
+    names = given.only.split(",") if given.only else sorted(p.stem for p in EXAMPLES.glob("*.py"))
+    print(
+        "| plant | claim | inputs | states | V rises | leave reach | not near the target | steps |"
+    )
+    print("|---|---|---|---|---|---|---|---|")
+    for name in names:
+        print("| " + " | ".join(attacked(name, given.states)) + " |", flush=True)
+
+
+if __name__ == "__main__":
+    main()
