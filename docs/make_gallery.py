@@ -211,7 +211,7 @@ def outcome(run: Run) -> str:
         pictures["proved region"] = region_figure(
             found.design,
             level,
-            [simulate(found.design, x0) for x0 in starts],
+            [simulate(found.design, x0, found.design.xi_star) for x0 in starts],
             found.certificate.reach,
         )
     landscape = landscape_figure(found.design, found.certificate)
@@ -229,10 +229,11 @@ def reach(found: Findings) -> str:
     made, units = found.design, found.loop.plant.units
     lines = ["| state | target | on Ω, proved |", "|---|---|---|"]
     for name, star in zip(made.loop.states, made.z_star, strict=True):
-        low, high = found.certificate.reach[name]
+        side = found.certificate.reach[name]
         unit = f" [{units[name]}]" if name in units else ""
         star = 0.0 if np.isclose(star, 0, atol=1e-12) else star
-        lines.append(f"| {name}{unit} | {star:.4g} | {low:.3g} … {high:.3g} |")
+        shown = "any" if side is None else f"{side[0]:.3g} … {side[1]:.3g}"
+        lines.append(f"| {name}{unit} | {star:.4g} | {shown} |")
     return "\n".join(lines)
 
 
@@ -247,18 +248,30 @@ def verdict_text(found: Findings) -> str:
 
 
 def readme_pictures() -> None:
-    """The README's pictures: the pendulum as it is designed there."""
+    """The README's pictures: the pendulum as it is designed there, and a region that ends."""
     with tempfile.TemporaryDirectory() as folder:
-        shown = ("lyapunov", "region", "landscape", "responses")
-        for paper, names in ((False, shown), (True, ("sweep",))):
-            sweep = (0.1, 1.0, 10) if paper else None
-            out = Path(folder) / f"design-{paper}"
-            model = EXAMPLES / "pendulum.py"
-            run_design(
-                Request(model, out, target="pi/4", paper=paper, sweep_a=sweep), lambda _: None
-            )
-            for name in names:
-                shutil.copyfile(out / "figures" / f"{name}.png", IMAGES / f"pendulum-{name}.png")
+        out = Path(folder)
+        requests = {
+            "pendulum": Request(EXAMPLES / "pendulum.py", out / "a", target="pi/4", compare=True),
+            "joint": Request(EXAMPLES / "robot_joint.py", out / "b"),
+            "paper": Request(
+                EXAMPLES / "pendulum.py",
+                out / "c",
+                target="pi/4",
+                paper=True,
+                sweep_a=(0.1, 1.0, 10),
+            ),
+        }
+        shown = {
+            "pendulum": ("lyapunov", "responses", "step", "loop"),
+            "joint": ("region", "landscape"),
+            "paper": ("sweep",),
+        }
+        for name, request in requests.items():
+            run_design(request, lambda _: None)
+            for figure in shown[name]:
+                drawn = request.out / "figures" / f"{figure}.png"
+                shutil.copyfile(drawn, IMAGES / f"readme-{name}-{figure}.png")
 
 
 if __name__ == "__main__":
