@@ -117,7 +117,7 @@ def best_hessian_eigenvalue(loop, casimirs, target, seed=0):
     g = numeric(sp.Matrix([sp.diff(loop.plant.H, s) for s in z[:n]]).subs(point))
     C = np.hstack(slopes) if r else np.zeros((loop.n, 0))
     lam = -np.linalg.lstsq(C[:n], g, rcond=None)[0][:, 0] if r else np.zeros(0)
-    if np.abs(g[:, 0] + C[:n] @ lam).max() > 1e-9:
+    if np.abs(g[:, 0] + C[:n] @ lam).max() > 1e-9 * max(1.0, np.abs(g).max()):
         return -np.inf
     free = np.eye(r) - np.linalg.pinv(C[:n]) @ C[:n] if r else np.zeros((0, 0))
     best = -np.inf
