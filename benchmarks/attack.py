@@ -128,8 +128,8 @@ def attacked(name: str, count: int) -> list[str]:
     starts = drawn(made, certificate, count, top)
     rates = np.abs(made.spectrum)
     slow = float(np.min(np.abs(made.spectrum.real)))
-    dt, horizon = 0.02 / rates.max(), 25 / slow
-    steps = int(np.clip(np.ceil(horizon / dt), CHECKPOINTS, 60_000))
+    dt, horizon = 0.05 / rates.max(), 15 / slow
+    steps = int(np.clip(np.ceil(horizon / dt), CHECKPOINTS, 30_000))
     steps -= steps % CHECKPOINTS
     with tempfile.TemporaryDirectory() as folder:
         library = compiled(model, made, Path(folder), clipped)
