@@ -38,9 +38,6 @@ __all__ = ["CasimirSearch", "ClosedForm", "find_closed_forms"]
 _MOST_PROOFS = 40
 
 
-_PRIMES_USED = 3
-
-
 #: Only the constant sub-kernel, only single functions of the model, or everything.
 Effort = Literal["constant", "quick", "full"]
 
@@ -212,7 +209,7 @@ def _null_vectors(search: CasimirSearch, words: Sequence[sp.Expr]) -> list[list[
     used = {i for _, i, _ in slopes}
     entries = [(i, j, e) for j, column in enumerate(search.columns) for i, e in column if i in used]
     shape = (points, len(z), len(search.columns), len(words))
-    return nullspace(lambda prime: _system(slopes, entries, shape, prime), _PRIMES_USED)
+    return nullspace(lambda prime: _system(slopes, entries, shape, prime))
 
 
 def _states(word: sp.Expr) -> list[sp.Symbol]:

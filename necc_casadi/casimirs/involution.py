@@ -17,6 +17,7 @@ from itertools import combinations
 import sympy as sp
 
 from necc_casadi.symbolic.arb import real_rank
+from necc_casadi.symbolic.expressions import complexity
 from necc_casadi.symbolic.finite_field import NoFiniteFieldValue, values
 from necc_casadi.symbolic.modular import pivots, rank
 from necc_casadi.symbolic.pieces import Box
@@ -60,7 +61,7 @@ def closure(M: sp.Matrix, z: Sequence[sp.Symbol], largest: int) -> tuple[list[Fi
     span a part of the closure only.
     """
     columns = [tuple(M[:, j]) for j in range(M.cols)]
-    columns.sort(key=lambda f: (not constant(f), sum(e.count_ops() for e in f)))
+    columns.sort(key=lambda f: (not constant(f), sum(map(complexity, f))))
     try:
         kept = _independent(columns)
         tried: set[tuple[int, int]] = set()
@@ -72,7 +73,7 @@ def closure(M: sp.Matrix, z: Sequence[sp.Symbol], largest: int) -> tuple[list[Fi
             fresh = [(i, j) for i, j in fresh if not (constant(kept[i]) and constant(kept[j]))]
             brackets = [lie_bracket(kept[i], kept[j], z) for i, j in fresh]
             brackets = [b for b in brackets if any(e != 0 for e in b)]
-            brackets.sort(key=lambda b: sum(e.count_ops() for e in b))
+            brackets.sort(key=lambda b: sum(map(complexity, b)))
             larger = _independent(kept + brackets)
             if len(larger) > largest:
                 larger = larger[:largest]

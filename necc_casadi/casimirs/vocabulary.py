@@ -7,6 +7,7 @@ from itertools import combinations_with_replacement, product
 
 import sympy as sp
 
+from necc_casadi.symbolic.expressions import complexity
 from necc_casadi.symbolic.primitive import primitive
 
 __all__ = ["MOST_WORDS", "angles", "occurring", "products", "times", "trig_products", "unique"]
@@ -52,7 +53,7 @@ def occurring(entries: Iterable[sp.Expr], support: Sequence[sp.Symbol]) -> list[
     for entry in dict.fromkeys(entries):
         for f in _parts(sp.sympify(entry)):
             if f.free_symbols and f.free_symbols <= allowed and not f.is_Symbol:
-                found[f] = f.count_ops()
+                found[f] = complexity(f)
     return sorted(found, key=lambda f: (found[f], str(f)))
 
 

@@ -20,6 +20,7 @@ from necc_casadi.symbolic.floats import to_float
 __all__ = [
     "CONSTANTS",
     "FUNCTIONS",
+    "complexity",
     "exact",
     "is_finite",
     "non_smooth_part",
@@ -226,3 +227,11 @@ def _fits_double(value: sp.Expr) -> bool:
 def is_finite(expr: sp.Expr | sp.MatrixBase) -> bool:
     """Whether no infinity and no undefined value stands in an expression."""
     return not expr.has(sp.zoo, sp.nan, sp.oo, -sp.oo)
+
+
+def complexity(expr: sp.Expr) -> int:
+    """Symbols, powers and functions in an expression; in other units it has as many."""
+    return sum(
+        not (isinstance(part, sp.Number) or part.is_Add or part.is_Mul)
+        for part in sp.preorder_traversal(expr)
+    )

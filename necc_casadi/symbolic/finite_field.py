@@ -32,8 +32,12 @@ Residues = npt.NDArray[np.int64]
 
 
 #: Safe primes p = 2q + 1 below 2^31 with p ≡ 7 mod 8 for which 2, 3, 5 and 7 are squares: then
-#: the squares form a group of prime order q in which every rational power is well defined.
-PRIMES = (2147471759, 2147466359, 2147454839, 2147441519, 2147441159, 2147407799)
+#: the squares form a group of prime order q in which every rational power is well defined. All of
+#: them together tell fractions up to 2¹⁸⁵, as coefficients are in unlike units.
+PRIMES = (
+    2147471759, 2147466359, 2147454839, 2147441519, 2147441159, 2147407799,
+    2147403719, 2147388479, 2147372639, 2147365919, 2147364959, 2147364239,
+)  # fmt: skip
 
 
 _FRACTION = 12  # sin(a/d) and exp(a/d) are consistent for every d that divides this

@@ -9,6 +9,7 @@ import sympy as sp
 from sympy.polys.matrices import DomainMatrix
 
 from necc_casadi.symbolic.arb import real_rank
+from necc_casadi.symbolic.expressions import complexity
 from necc_casadi.symbolic.finite_field import NoFiniteFieldValue, values
 from necc_casadi.symbolic.modular import nullspace, rank
 from necc_casadi.symbolic.zero import PROBES, Undecided, is_zero, sign
@@ -99,7 +100,7 @@ def constant_kernel(matrix: sp.Matrix) -> sp.Matrix:
     points = matrix.cols // len(rows) * 2 + 4
     try:
         vectors = nullspace(
-            lambda prime: values(list(matrix), points, prime=prime).reshape(-1, matrix.cols), 3
+            lambda prime: values(list(matrix), points, prime=prime).reshape(-1, matrix.cols)
         )
     except NoFiniteFieldValue:
         vectors = []
@@ -153,7 +154,7 @@ def _pivot(rows: Sequence[Sequence[sp.Expr]], done: int, column: int) -> int | N
     """The simplest row from `done` on with a proved nonzero in a column; None: all are zero."""
     unknown = None
     candidates = [i for i in range(done, len(rows)) if rows[i][column] != 0]
-    for i in sorted(candidates, key=lambda i: (rows[i][column].count_ops(), i)):
+    for i in sorted(candidates, key=lambda i: (complexity(rows[i][column]), i)):
         zero = is_zero(rows[i][column])
         if zero is False:
             return i

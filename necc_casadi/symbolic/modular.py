@@ -53,20 +53,31 @@ def _modular_nullspace(matrix: Residues, prime: int) -> tuple[list[int], npt.NDA
     return free.tolist(), basis.astype(object)
 
 
-def nullspace(table: Callable[[int], Residues], primes: int) -> list[list[sp.Rational]]:
+#: Where so many more primes have given no further vector, the others are not rational.
+_IRRATIONAL = 3
+
+
+def nullspace(table: Callable[[int], Residues]) -> list[list[sp.Rational]]:
     """Rational vectors v with T·v = 0, from the residues `table(p)` of T for several primes p.
+
+    Primes are added until one more changes nothing.
 
     Vector k has entry 1 at the k-th free column and is supported on columns before it. Entries
     are reconstructed from their residues; a vector that does not come out rational is dropped.
     """
     free, combined = _modular_nullspace(table(PRIMES[0]), PRIMES[0])
     modulus = PRIMES[0]
-    for prime in PRIMES[1:primes] if free else ():
+    rows, settled = rational_rows(combined, modulus), 0
+    for prime in PRIMES[1:] if free else ():
         same, basis = _modular_nullspace(table(prime), prime)
         if same == free:
             lift = (basis - combined) * pow(modulus, -1, prime) % prime
             combined, modulus = combined + modulus * lift, modulus * prime
-    return rational_rows(combined, modulus)
+            before, rows = rows, rational_rows(combined, modulus)
+            settled = settled + 1 if rows == before else 0
+            if settled and (len(rows) == len(free) or settled >= _IRRATIONAL):
+                break
+    return rows
 
 
 def rational_rows(basis: npt.NDArray[Any], prime: int = PRIMES[0]) -> list[list[sp.Rational]]:

@@ -78,15 +78,14 @@ def test_damping_that_is_given_is_kept(pendulum):
     assert not choice.design.damping[:1, 1:].any()
 
 
-def test_a_region_of_the_default_is_not_given_up_for_less_cost():
+def test_a_region_of_the_default_is_not_given_up():
     """Nothing sees the pole's angle: no global claim, and the default holds more of the plant."""
     task = problem(load_model(EXAMPLES / "cart_pole.py"), "x=1,theta=pi,p_x=0,p_theta=0")
     choice = chosen(task)
     assert choice.kept.name == "default"
     least = next(other for other in choice.others if other.name == "least cost")
     assert least.plant_share < choice.kept.plant_share
-    assert least.cost_to_lqr < choice.kept.cost_to_lqr
-    assert "its region holds" in choice.reason
+    assert "least cost" in choice.reason
 
 
 def test_a_second_minimum_of_v_loses_to_one_critical_point():
