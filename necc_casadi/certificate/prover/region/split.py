@@ -88,11 +88,24 @@ class Splits:
         """Splits with V_ee ≻ 0 for s in the box `around` (d,), the fewest kept states first.
 
         Those come first that keep all states in which the plant has a pole or a kink, where the
-        search can see it. Among equals the widest margin is first, in the units of the box.
+        search can see it, and all on which the inertia of a momentum with a bound depends: the
+        bound is then met in a function of s alone. Among equals the widest margin is first, in the
+        units of the box.
         """
-        guarded = self._guarded
-        yield from self._splits(around, lambda kept: guarded <= set(kept))
+        guarded, seen = self._guarded, self._guarded | self._carrying
+        yield from self._splits(around, lambda kept: seen <= set(kept))
+        yield from self._splits(around, lambda kept: guarded <= set(kept) and not seen <= set(kept))
         yield from self._splits(around, lambda kept: not guarded <= set(kept))
+
+    @cached_property
+    def _carrying(self) -> set[int]:
+        """Active states on which the inertia depends, where the model bounds a momentum."""
+        plant, resting = self.potential.design.loop.plant, self.potential.resting
+        momenta = [self.potential.design.loop.z[i] for i in resting]
+        if not any(str(p) in plant.domain for p in momenta):
+            return set()
+        inertia = sp.hessian(plant.H, momenta)
+        return {i for i, s in enumerate(self.symbols) if inertia.has(s)}
 
     @cached_property
     def _guarded(self) -> set[int]:
