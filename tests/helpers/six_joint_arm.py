@@ -4,7 +4,7 @@ import sympy as sp
 
 from necc_casadi.model.plant import Plant, make_plant
 
-#: Upper arm and forearm are uniform rods, in kg and m; the wrist with its load is a mass at the end.
+#: Upper arm and forearm are uniform rods, in kg and m; wrist and load are a mass at the end.
 M2, M3, MW = sp.Integer(12), sp.Integer(6), sp.Integer(3)
 L2, L3 = sp.Rational(45, 100), sp.Rational(40, 100)
 #: The column's inertia around the vertical, and those of the wrist's joints, in kg m².
@@ -14,7 +14,7 @@ TARGET = (sp.pi / 6, sp.pi / 4, -sp.pi / 3, 0, sp.pi / 4, 0)
 
 
 def six_joint_arm() -> Plant:
-    """Yaw of the column, pitch of upper arm and forearm above the horizontal, the wrist's joints."""
+    """Yaw of the column, pitch of upper arm above the horizontal, elbow, the wrist's joints."""
     q, p = sp.symbols("q1:7", real=True), sp.symbols("p1:7", real=True)
     c2, c3, c23 = sp.cos(q[1]), sp.cos(q[2]), sp.cos(q[1] + q[2])
     column = I1 + M2 * L2**2 * c2**2 / 3 + M3 * (L2**2 * c2**2 + L2 * L3 * c2 * c23)
