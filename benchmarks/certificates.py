@@ -30,6 +30,7 @@ from necc_casadi import (
     paper_options,
 )
 from necc_casadi.certificate.checker.check import check
+from necc_casadi.certificate.claims.regions import Region
 from necc_casadi.model.target import parse_target, target_from_model
 from necc_casadi.performance.shares import sampled_share
 from necc_casadi.report.findings import global_claim
@@ -62,7 +63,8 @@ PENDULUMS = [
 ]
 OTHERS = (
     "damped_pendulum", "series_rlc", "maglev", "dc_motor", "tora", "cart_pole",
-    "mass_spring_chain", "symmetric_chain", "two_link_arm", "satellite",
+    "mass_spring_chain", "symmetric_chain", "two_link_arm", "satellite", "buck_filter",
+    "hydraulic_cylinder", "mems_comb", "port_crane", "quarter_car", "qube_pendulum", "robot_joint",
 )  # fmt: skip
 CASES = PENDULUMS + [
     case
@@ -166,8 +168,8 @@ def line(row: Row) -> str:
         ("none" if everywhere else "–") if obstacle is None else obstacle.kind,
         "–" if obstacle is None else f"{obstacle.level_above_minimum:.4g}",
         "–" if c.obstacle_share is None else f"{100 * c.obstacle_share:.2f} %",
-        "–" if claimed is None else str(len(claimed.kept)),
-        "–" if claimed is None else str(len(claimed.leaves)),
+        str(len(claimed.kept)) if isinstance(claimed, Region) else "–",
+        str(len(claimed.leaves)) if isinstance(claimed, Region) else "–",
         percent(row.sampled),
         percent(row.simulated),
         c.stability or "not proved",

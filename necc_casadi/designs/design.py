@@ -11,6 +11,7 @@ import json
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -21,7 +22,7 @@ from necc_casadi.designs.initial import least_over_xi
 from necc_casadi.designs.layout import BROKEN, DESIGN_FORMAT, check_whole, from_dict, to_dict
 from necc_casadi.designs.natural import natural_parts
 from necc_casadi.designs.parts import Parts
-from necc_casadi.errors import OutputError
+from necc_casadi.errors import OptionError, OutputError
 from necc_casadi.files import refuse_unfinished, write_text
 from necc_casadi.lyapunov.lyapunov import LyapunovFunction, make_terms
 from necc_casadi.lyapunov.opened_loop import opened_at_the_input
@@ -29,7 +30,10 @@ from necc_casadi.model.domain import Domain, domain_of
 from necc_casadi.model.sizes import input_names
 from necc_casadi.symbolic.floats import to_floats
 
-__all__ = ["Design"]
+if TYPE_CHECKING:
+    from necc_casadi.certificate.claims.certificate import Certificate
+
+__all__ = ["Design", "refuse_other"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,6 +109,34 @@ class Design(Parts):
     def V(self, z: npt.ArrayLike) -> float:
         """The Lyapunov function at z = (x, ξ), (n + nc,)."""
         return float(self.lyapunov.V(z))
+
+    def contains(self, z: npt.ArrayLike, certificate: Certificate) -> bool:
+        """Whether a state z = (x, ξ), (n + nc,), is in the region Ω of this design's certificate.
+
+        Plain evaluation of V, in the model's units; angles count as they stand. Ω is one component
+        of {V ≤ c}: a state where V is as low may be in another. Where the whole space is proved
+        and no region besides, every finite state is in it; where nothing is proved, none.
+
+        Raises
+        ------
+        OptionError
+            When the certificate is of another design.
+
+        Examples
+        --------
+        >>> from necc_casadi import certify, design, find_casimirs, judge, load_model, parse_target
+        >>> loop = load_model("pendulum.py").loop
+        >>> x_star = parse_target(loop.plant, "pi/4")
+        >>> casimirs = find_casimirs(loop)
+        >>> made = design(loop, casimirs, judge(loop, casimirs, x_star), x_star)
+        >>> certificate = certify(made)
+        >>> made.contains(made.z_bar, certificate)
+        True
+        >>> made.contains([-1.0, 9.0, 0.0], certificate)
+        False
+        """
+        refuse_other(self, certificate)
+        return certificate.contains(self.V, np.asarray(z, float).tolist())
 
     @cached_property
     def z_bar(self) -> Vector:
@@ -237,3 +269,13 @@ class Design(Parts):
             return cls(**vars(parts))
         except BROKEN as problem:
             raise OutputError("output", f"{label} is not a design: {problem!r}", remedy) from None
+
+
+def refuse_other(design: Design, certificate: Certificate) -> None:
+    """Raise an OptionError when the certificate is of another design."""
+    if certificate.design_hash != design.hash:
+        raise OptionError(
+            "usage",
+            "certificate: it is of another design",
+            "Give the one that certify(design) made.",
+        )

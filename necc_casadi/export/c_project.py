@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 
 from necc_casadi.cases import Integrator, Precision
+from necc_casadi.certificate.claims.certificate import Certificate
 from necc_casadi.designs.design import Design
 from necc_casadi.export.controller import controller
 from necc_casadi.export.demonstration import demonstration
@@ -26,8 +26,7 @@ def export_c(
     real: Precision = "double",
     sample_time: float | None = None,
     integrator: Integrator = "heun",
-    certificate_hash: str | None = None,
-    claims: Sequence[str] = (),
+    certificate: Certificate | None = None,
     prefix: str = PREFIX,
     measured: bool = True,
 ) -> list[Path]:
@@ -45,8 +44,8 @@ def export_c(
         Seconds between two calls of ``necc_step``, for the header and the demonstration.
     integrator
         ``heun``, ``euler`` or ``rk4``: how ξ advances over a sample with x held.
-    certificate_hash, claims
-        Hash of certificate.json and what it claims, for the header.
+    certificate
+        What is proved of `design`, for the header, and the region for ``necc_margin``.
     prefix
         Every external name of the code begins with it, macros in capitals; the files keep
         their names.
@@ -61,8 +60,8 @@ def export_c(
     Raises
     ------
     OptionError
-        For an unknown type or integrator, a sample time that is not positive, or a prefix that
-        is no beginning of a name in C.
+        For an unknown type or integrator, a sample time that is not positive, a prefix that is
+        no beginning of a name in C, or the certificate of another design.
     OutputError
         When a file cannot be written.
 
@@ -77,7 +76,7 @@ def export_c(
     >>> sorted(path.name for path in export_c(made, Path("c"), measured=False))[-3:]
     ['necc.h', 'selftest.c', 'test_vectors.h']
     """
-    source = Source(design, real, sample_time, integrator, certificate_hash, tuple(claims), prefix)
+    source = Source(design, real, sample_time, integrator, certificate, prefix)
     files = {
         "necc.h": header(source),
         "necc.c": controller(source),

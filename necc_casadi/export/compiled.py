@@ -77,6 +77,14 @@ class CompiledController:
         flags = self._function("step")(state, self._array(x, self.n), u, self.real(dt))
         return np.array(u, float), np.array(state, float), int(flags)
 
+    def margin(self, x: Sequence[float], xi: Sequence[float]) -> float | None:
+        """``necc_margin`` at (x, ξ), from 0 on in Ω; None where the code has none."""
+        if not hasattr(self.library, f"{self.prefix}_margin"):
+            return None
+        function = self._function("margin")
+        function.restype = self.real
+        return float(function(self._array(x, self.n), self._array(xi, self.nc)))
+
     def _function(self, name: str) -> Any:
         return getattr(self.library, f"{self.prefix}_{name}")
 

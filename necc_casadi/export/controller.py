@@ -10,6 +10,7 @@ from __future__ import annotations
 import casadi as ca
 
 from necc_casadi.export.casadi2c import c_function
+from necc_casadi.export.margin import has_margin, margin_code
 from necc_casadi.export.networks import LANES, CNetwork, c_network, kernels, width
 from necc_casadi.export.source import Source
 from necc_casadi.export.templating import fill, indent
@@ -48,6 +49,7 @@ def controller(source: Source) -> str:
         xi_star=real.literals(source.design.xi_star),
         init_at=_init_at(source),
         start=indent(_START[source.design.initial_xi]),
+        margin=margin_code(source),
     )
     return source.named(text)
 
@@ -61,7 +63,7 @@ def _networks(source: Source) -> list[CNetwork]:
 
 
 def _leaves(source: Source) -> list[str]:
-    """Casimirs, H where Φ is neural, and the law given the networks' slopes."""
+    """Casimirs, H where Φ or the margin takes it, and the law given the networks' slopes."""
     design, real = source.design, source.number
     terms = design.lyapunov.terms
     x, xi = ca.SX.sym("x", source.n), ca.SX.sym("xi", source.nc)
@@ -77,7 +79,7 @@ def _leaves(source: Source) -> list[str]:
     slopes = {"grad_hc": grad_hc, "gamma": gamma, "phi_1": phi_1}
     arguments = [("x", x), ("xi", xi), *((name, slopes[name]) for name in _slopes(source))]
     leaves = [c_function("casimirs", arguments[:2], [("c", c)], real)]
-    if source.neural_phi:
+    if source.neural_phi or has_margin(source):
         leaves.append(c_function("hamiltonian", arguments[:1], [("H", terms.H(x))], real))
     leaves.append(c_function("control_law", arguments, [("u", u), ("xidot", xi_dot)], real))
     leaves.append(c_function("energy_slope", arguments, [("gradient", V_xi)], real))

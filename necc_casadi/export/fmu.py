@@ -13,10 +13,12 @@ from pathlib import Path
 from xml.etree import ElementTree as ET
 
 from necc_casadi.cases import Integrator, Precision
+from necc_casadi.certificate.claims.certificate import Certificate
 from necc_casadi.designs.design import Design
 from necc_casadi.export.compiled import compile_shared, find_compiler
 from necc_casadi.export.controller import controller
 from necc_casadi.export.header import header
+from necc_casadi.export.margin import has_margin
 from necc_casadi.export.source import Source
 from necc_casadi.export.templating import PREFIX, fill
 from necc_casadi.files import write_text
@@ -39,8 +41,7 @@ def export_fmu(
     real: Precision = "double",
     sample_time: float | None = None,
     integrator: Integrator = "heun",
-    certificate_hash: str | None = None,
-    claims: Sequence[str] = (),
+    certificate: Certificate | None = None,
     prefix: str = PREFIX,
 ) -> Path:
     """Write `path`, sources included, and a binary for this machine where a C compiler is.
@@ -54,7 +55,7 @@ def export_fmu(
     OutputError
         When the compiler fails or the file cannot be written.
     """
-    source = Source(design, real, sample_time, integrator, certificate_hash, tuple(claims), prefix)
+    source = Source(design, real, sample_time, integrator, certificate, prefix)
     guid = f"{{{design.hash[:32]}}}"
     wrapper = fill(
         "fmu.c",
@@ -128,19 +129,20 @@ def _description(source: Source, guid: str, name: str) -> str:
         for text in definitions:
             ET.SubElement(parent, "Unit", name=text)
     ET.SubElement(root, "DefaultExperiment", stepSize=repr(source.step_time))
-    _variables(root, design, units)
-    _structure(root, loop.plant.n, loop.plant.m, loop.controller.nc)
+    _variables(root, source, units)
+    _structure(root, source)
     ET.indent(root)
     return '<?xml version="1.0" encoding="UTF-8"?>\n' + ET.tostring(root, encoding="unicode") + "\n"
 
 
-def _variables(root: ET.Element, design: Design, units: Sequence[str]) -> None:
-    """x, u, ξ, flags and start_at_minimum; the order fixes the value references in fmu.c."""
-    loop = design.loop
+def _variables(root: ET.Element, source: Source, units: Sequence[str]) -> None:
+    """x, u, ξ, margin, flags, start_at_minimum; the order fixes the value references in fmu.c."""
+    design, loop = source.design, source.design.loop
+    margin = ["margin"] if has_margin(source) else []
     variables = ET.SubElement(root, "ModelVariables")
     inputs = [f"u{i + 1}" for i in range(loop.plant.m)]
     *reals, flags, start = identifiers(
-        [*loop.plant.states, *inputs, *loop.controller.states, "flags", "start_at_minimum"]
+        [*loop.plant.states, *inputs, *loop.controller.states, *margin, "flags", "start_at_minimum"]
     )
 
     def add(name: str, reference: int, kind: str, attributes: dict[str, str], **words: str) -> None:
@@ -166,14 +168,16 @@ def _variables(root: ET.Element, design: Design, units: Sequence[str]) -> None:
     )  # fmt: skip
 
 
-def _structure(root: ET.Element, n: int, m: int, nc: int) -> None:
-    """U depends on x; ξ and the flags depend on no input, except when ξ starts at the minimum."""
+def _structure(root: ET.Element, source: Source) -> None:
+    """U and the margin depend on x; ξ and the flags only when ξ starts at the minimum."""
+    n, m, nc = source.n, source.m, source.nc
+    margin = {n + m + nc + 1} if has_margin(source) else set()
     structure = ET.SubElement(root, "ModelStructure")
     on_x = " ".join(str(i + 1) for i in range(n))
-    outputs = range(n + 1, n + m + nc + 2)
+    outputs = range(n + 1, n + m + nc + 2 + len(margin))
     for name in ("Outputs", "InitialUnknowns"):
         parent = ET.SubElement(structure, name)
         for index in outputs:
-            direct = name == "InitialUnknowns" or index <= n + m
+            direct = name == "InitialUnknowns" or index <= n + m or index in margin
             words = {"index": str(index), "dependencies": on_x if direct else ""}
             ET.SubElement(parent, "Unknown", words)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import textwrap
 
+from necc_casadi.export.margin import margin_constants, margin_declaration
 from necc_casadi.export.sampled_loop import analyse_sampling
 from necc_casadi.export.source import Source
 from necc_casadi.export.templating import comment, fill
@@ -43,6 +44,8 @@ def header(source: Source) -> str:
         nc=source.nc,
         m=source.m,
         sample_define=define,
+        margin_constants=margin_constants(source),
+        margin=margin_declaration(source),
         sampling=_sampling(source),
         limits="" if plant.u_limits else "; never: the model has no limits",
         start_text=_START[design.initial_xi],

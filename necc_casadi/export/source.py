@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import re
 from dataclasses import dataclass
 from functools import cached_property
@@ -10,7 +11,8 @@ from typing import get_args
 import numpy as np
 
 from necc_casadi.cases import NAME_IN_C, Integrator, Precision
-from necc_casadi.designs.design import Design
+from necc_casadi.certificate.claims.certificate import Certificate
+from necc_casadi.designs.design import Design, refuse_other
 from necc_casadi.errors import OptionError
 from necc_casadi.export.casadi2c import Real
 from necc_casadi.export.sampled_loop import ORDERS, largest_stable_time
@@ -30,16 +32,15 @@ class Source:
     Raises
     ------
     OptionError
-        For an unknown type or integrator, a sample time that is not positive, or a prefix that
-        is no beginning of a name in C.
+        For an unknown type or integrator, a sample time that is not positive, a prefix that is
+        no beginning of a name in C, or the certificate of another design.
     """
 
     design: Design
     real: Precision = "double"
     sample_time: float | None = None  # s
     integrator: Integrator = "heun"
-    certificate_hash: str | None = None
-    claims: tuple[str, ...] = ()
+    certificate: Certificate | None = None
     prefix: str = PREFIX
 
     def __post_init__(self) -> None:
@@ -61,6 +62,22 @@ class Source:
                 f"--prefix {self.prefix!r} cannot begin the names of C",
                 "Use a letter, then letters, digits and _, at most 31 together.",
             )
+
+        if self.certificate is not None:
+            refuse_other(self.design, self.certificate)
+
+    @property
+    def certificate_hash(self) -> str | None:
+        """SHA-256 of certificate.json."""
+        if self.certificate is None:
+            return None
+        return hashlib.sha256(self.certificate.to_json().encode()).hexdigest()
+
+    @property
+    def claims(self) -> tuple[str, ...]:
+        """What is claimed, in words."""
+        claims = () if self.certificate is None else self.certificate.claims
+        return tuple(claim.statement for claim in claims if claim.holds)
 
     def named(self, code: str) -> str:
         """C code with the prefix of this export."""

@@ -22,7 +22,7 @@ _SAMPLES, _PLANT_SAMPLES = 4096, 512
 
 def holds(design: Design, certificate: Certificate, z: Vector) -> Truth:
     """Which states (B, n + nc) lie where the certificate claims something, (B,)."""
-    if any(claim.name == "global" and claim.holds for claim in certificate.claims):
+    if certificate.of_the_whole_space:
         return np.ones(len(z), dtype=bool)
     region = certificate.region
     if region is None:
@@ -91,5 +91,4 @@ def _plant_states(design: Design) -> Vector:
 
 
 def _claims(certificate: Certificate) -> bool:
-    whole = any(claim.name == "global" and claim.holds for claim in certificate.claims)
-    return whole or certificate.region is not None
+    return certificate.of_the_whole_space or certificate.region is not None

@@ -2,6 +2,7 @@
 
 import ctypes
 import dataclasses
+import hashlib
 import math
 import re
 import subprocess
@@ -15,6 +16,7 @@ from helpers.export_cases import (
     COMPILERS,
     STRICT,
     arm_loop,
+    claiming,
     design,
     designs,
     paper_design,
@@ -33,6 +35,10 @@ from necc_casadi.lyapunov.parameterization import Form
 from necc_casadi.model.closed_loop import ClosedLoop
 
 REJECTED = 2
+
+
+def sha256(text):
+    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def heun(f, y, dt):
@@ -196,16 +202,11 @@ def test_fast_math_is_refused(tmp_path):
 
 def test_header_says_what_it_is_about(tmp_path):
     d = paper_design((5,), (7,))
-    export_c(
-        d,
-        tmp_path,
-        certificate_hash="ab" * 32,
-        claims=["z̄ is asymptotically stable"],
-        measured=False,
-    )
+    certificate = claiming(d, ["z̄ is asymptotically stable"])
+    export_c(d, tmp_path, certificate=certificate, measured=False)
     text = (tmp_path / "necc.h").read_text(encoding="utf-8")
     assert f'#define NECC_DESIGN "{d.hash}"' in text
-    assert f'#define NECC_CERTIFICATE "{"ab" * 32}"' in text
+    assert f'#define NECC_CERTIFICATE "{sha256(certificate.to_json())}"' in text
     assert "continuous-time" in text
     assert "not saturated" in text
     assert "zbar is asymptotically stable" in text
@@ -353,7 +354,7 @@ def test_every_letter_of_the_code_is_ascii_and_prints(tmp_path):
     plant = dataclasses.replace(loop.plant, name=" ".join(NASTY), units={"q": NASTY[0]})
     loop = ClosedLoop(plant, loop.controller)
     d = design((loop, casimirs), Form(Network(1, (6,)), Network(1, ())), 3)
-    export_c(d, tmp_path, claims=NASTY, measured=False)
+    export_c(d, tmp_path, certificate=claiming(d, NASTY), measured=False)
     export_fmu(d, tmp_path / "x.fmu")
     for path in tmp_path.iterdir():
         if path.suffix in (".c", ".h"):

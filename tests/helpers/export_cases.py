@@ -8,6 +8,9 @@ import sympy as sp
 from hypothesis import strategies as st
 
 from necc_casadi.casimirs.casimirs import Casimirs
+from necc_casadi.certificate.claims.certificate import Certificate
+from necc_casadi.certificate.claims.claim import Claim
+from necc_casadi.certificate.prover.certify import units_of
 from necc_casadi.designs.design import Design
 from necc_casadi.lyapunov.networks import ACTIVATIONS, MonotonePhi, Network
 from necc_casadi.lyapunov.parameterization import Form
@@ -87,6 +90,21 @@ def design(loop_and_casimirs, form: Form, seed: int = 0) -> Design:
 
 def paper_design(hidden_h=(32, 32), hidden_k=(64, 64)) -> Design:
     return design(pendulum_loop(), Form(Network(1, hidden_h), Network(1, hidden_k)))
+
+
+def claiming(made: Design, statements) -> Certificate:
+    """A certificate that holds these statements, and no region."""
+    return Certificate(
+        design_hash=made.hash,
+        claims=tuple(Claim("equilibrium", True, text) for text in statements),
+        units=units_of(made),
+        z_bar=tuple(made.z_star),
+        enclosure=None,
+        mu=None,
+        radius=None,
+        bound_rigorous=None,
+        stability=None,
+    )
 
 
 def networks(inputs: int) -> st.SearchStrategy[Network]:

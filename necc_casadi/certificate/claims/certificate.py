@@ -74,6 +74,11 @@ class Certificate:
         return needed <= held and self.stability is not None
 
     @property
+    def of_the_whole_space(self) -> bool:
+        """Whether what is claimed of solutions is claimed from everywhere."""
+        return any(claim.name == "global" and claim.holds for claim in self.claims)
+
+    @property
     def limited_by(self) -> str | None:
         """What the region stays just below, in words."""
         return None if self.obstacle is None else statements.limited_by(self.obstacle)
@@ -86,9 +91,12 @@ class Certificate:
         return self.level_above_minimum / self.obstacle.level_above_minimum
 
     def contains(self, V: Lyapunov, z: Sequence[float]) -> bool:
-        """Whether a state z (N,) is in Ω, by plain evaluation of V; False where none is proved."""
+        """Whether a state z (N,) is in Ω, by plain evaluation of V; False where none is proved.
+
+        Where the whole space is proved and no region besides, every finite state is.
+        """
         if self.region is None:
-            return False
+            return self.of_the_whole_space and all(map(math.isfinite, z))
         units = self.units.state
         natural = [v / unit for v, unit in zip(z, units, strict=True)]
 

@@ -33,7 +33,7 @@ from necc_casadi.certificate.prover.region.region import prove_region, prove_reg
 from necc_casadi.certificate.prover.solutions import what_follows
 from necc_casadi.designs.design import Design
 
-__all__ = ["certify"]
+__all__ = ["certify", "units_of"]
 
 
 Report = Callable[[str, float], None]

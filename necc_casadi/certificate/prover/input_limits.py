@@ -26,7 +26,7 @@ __all__ = ["clipping_is_covered", "holding_level", "input_level"]
 
 #: Rounds in which the cells that limit c_u are halved, and cells per round; they end when so many
 #: rounds have gained no more than this share of the height.
-_ROUNDS, _WORST, _PATIENCE, _LITTLE = 14, 512, 3, 0.01
+_ROUNDS, _WORST, _PATIENCE, _LITTLE = 20, 512, 3, 0.004
 
 
 #: Share of the range of an input that stays free at each end.
@@ -129,7 +129,7 @@ def _halved(boxes: Interval, like: Interval) -> Interval:
 def _levels(potential: Potential, cells: Interval) -> Vector:
     """Level below which u stays within its limits on each cell; −∞ where nothing is known, (B,)."""
     with np.errstate(all="ignore"):
-        jet = potential.jet(cells)
+        jet = potential.sharp_jet(cells) if potential.has_sharp_jet else potential.jet(cells)
         rest = -_controller_output(potential, cells) - _passive_output(potential, cells, jet.grad)
         swing = _momentum_gain(potential, cells)
         lo, hi = np.array(potential.design.loop.plant.u_limits, float).T

@@ -1,7 +1,7 @@
 /* fmu.c: the controller of necc.h as an FMI 2.0 co-simulation unit.
  *
- * Inputs x, outputs u, xi and flags. u follows x at once: it is the law at the present x and xi.
- * fmi2DoStep(h) is one necc_step with dt = h. Value references: x, then u, then xi; Integer 0 is
+ * Inputs x, outputs u, xi, the margin (see necc.h) and flags. u follows x at once: it is the law at the present x and xi.
+ * fmi2DoStep(h) is one necc_step with dt = h. Value references: x, u, xi, margin; Integer 0 is
  * flags; Boolean 0 tells whether xi starts at the minimum of V(x, .) or at the equilibrium.
  */
 #include "necc.h"
@@ -155,6 +155,10 @@ FUNCTION(fmi2Status, fmi2GetReal, fmi2Component c, const fmi2ValueReference vr[]
             value[i] = (double)u[r - NECC_NX];
         else if (r < NECC_NX + NECC_NU + NECC_NXI)
             value[i] = (double)self->state.xi[r - NECC_NX - NECC_NU];
+#if NECC_HAS_MARGIN
+        else if (r == NECC_NX + NECC_NU + NECC_NXI)
+            value[i] = (double)necc_margin(self->x, self->state.xi);
+#endif
         else
             return fmi2Error;
     }

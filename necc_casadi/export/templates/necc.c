@@ -90,3 +90,5 @@ int necc_step(necc_state *state, const necc_real x[NECC_NX], necc_real u[NECC_NU
     memcpy(u, v, sizeof v);
     return @saturate@;
 }
+
+@margin@

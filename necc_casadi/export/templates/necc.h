@@ -18,6 +18,7 @@
 #define NECC_NX @n@ /* plant states */
 #define NECC_NXI @nc@ /* controller states */
 #define NECC_NU @m@ /* inputs */
+@margin_constants@
 @sample_define@@sampling@
 
 /* Order and units:
@@ -61,6 +62,8 @@ void necc_control(const necc_real x[NECC_NX], const necc_real xi[NECC_NXI],
  * (@integrator_name@). Apply u until the next sample. The dynamics of xi use x alone, so
  * that a clipped u does not wind them up. */
 int necc_step(necc_state *state, const necc_real x[NECC_NX], necc_real u[NECC_NU], necc_real dt);
+
+@margin@
 
 #ifdef __cplusplus
 }

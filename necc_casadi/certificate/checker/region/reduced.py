@@ -67,11 +67,14 @@ class Reduced:
         y = np.array(start, float)
         zero = np.zeros((len(self.e), len(self.s)))
         self._known: dict[Box, Cover | None] = {}
+        self._hints: dict[tuple[float, ...], tuple[Numbers, Numbers] | None] = {}
         self._last: tuple[Numbers, Numbers, Numbers] = (y[self.s], y[self.e], zero)
 
     def over(self, energy: Energy) -> Reduced:
-        """The same for another V with the same V_ee."""
-        return Reduced(energy, self.s, self._floor, self._start)
+        """The same for another V with the same V_ee: what was guessed may serve there too."""
+        other = Reduced(energy, self.s, self._floor, self._start)
+        other._hints = self._hints
+        return other
 
     def holding(self, position: int) -> Reduced:
         """The same with one state more that is not minimised out."""
@@ -110,7 +113,10 @@ class Reduced:
         middle = [lo / 2 + hi / 2 for lo, hi in cell]
         steps = [ball(lo, hi) - arb(m) for (lo, hi), m in zip(cell, middle, strict=True)]
         half = max((float(s.abs_upper()) for s in steps), default=0.0)
-        hint = self._hint(np.array(middle))
+        at = tuple(middle)
+        if at not in self._hints:
+            self._hints[at] = self._hint(np.array(middle))
+        hint = self._hints[at]
         if hint is None:
             return None
         e_hat, A = hint

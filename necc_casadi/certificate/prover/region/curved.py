@@ -258,8 +258,12 @@ class Curved:
 
     def face_is_above(self, face: Face, height: float) -> bool:
         """Whether f > h on a face, for all values of the other states."""
-        c, free = self._on_face(face)
+        c, free = self._on_faces[face]
         return self._is_above(c, free, self.box(height)[np.array(free, dtype=int)], height, False)
+
+    @cached_property
+    def _on_faces(self) -> dict[Face, tuple[list[sp.Expr], list[int]]]:
+        return {face: self._on_face(face) for pair in self.faces for face in pair}
 
     def _on_face(self, face: Face) -> tuple[list[sp.Expr], list[int]]:
         """The Casimirs on a face, and the states of y that are left.

@@ -35,6 +35,8 @@ _NEAR = 1e-4
 _HEIGHT = 1.0
 #: Shares of the obstacle's height that are tried.
 _SHARES = (0.99, 0.98, 0.97, 0.96, 0.95, 0.9, 0.8, 0.65, 0.5)
+#: Near a pass ∂c/∂q is nearly singular where f is nearly h: many cells, and mostly for nothing.
+_BESIDE_A_PASS = _SHARES[1:]
 
 
 class CurvedProof(RegionProof):
@@ -89,7 +91,7 @@ def prove_curved(potential: Potential, z_bar: Interval) -> CurvedProof | None:
     if obstacle is None:
         return None
     bottom, obstacle = float(curved.bottom.hi), judged(potential, obstacle)
-    for share in _SHARES:
+    for share in _BESIDE_A_PASS if obstacle.kind == "critical_point" else _SHARES:
         region = curved.region(bottom + share * (obstacle.level - bottom))
         place = None if region is None else curved.place(region.height)
         if region is not None and place is not None:

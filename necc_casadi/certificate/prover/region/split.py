@@ -20,11 +20,12 @@ from necc_casadi.certificate.claims.regions import MOST_KEPT, Bends
 from necc_casadi.certificate.prover.arithmetic.boxes import matrix_enclosure, subdivide
 from necc_casadi.certificate.prover.arithmetic.definite import positive_definite
 from necc_casadi.certificate.prover.arithmetic.hessian_floor import sharpest_floor
-from necc_casadi.certificate.prover.arithmetic.intervals import Interval, matmul
+from necc_casadi.certificate.prover.arithmetic.intervals import Interval, matmul, point
 from necc_casadi.certificate.prover.arithmetic.potential import Potential
 from necc_casadi.certificate.prover.arithmetic.smooth import holds_everywhere, written
 from necc_casadi.certificate.prover.region.critical_box import is_periodic
 from necc_casadi.certificate.prover.region.reduced import Reduced
+from necc_casadi.model.samples import quasi_random
 from necc_casadi.symbolic.smoothness import conditions
 
 __all__ = ["Splits"]
@@ -33,6 +34,8 @@ __all__ = ["Splits"]
 _SHARES = (1 - 1e-9, 0.999, 0.98, 0.9, 0.7, 0.4, 0.1)
 #: Cells of the states on which V_ee depends, in all; half a period, a little more than π.
 _CELLS, _HALF_PERIOD = 4096, 3.15
+#: Points at which a split is looked at before cells are, and how far below 0 rounding may lead.
+_POINTS, _ROUNDING = 64, 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,11 +91,24 @@ class Splits:
         """Splits with V_ee ≻ 0 for s in the box `around` (d,), the fewest kept states first.
 
         Those come first that keep all states in which the plant has a pole or a kink, where the
-        search can see it. Among equals the widest margin is first, in the units of the box.
+        search can see it, and all on which the inertia of a momentum with a bound depends: the
+        bound is then met in a function of s alone. Among equals the widest margin is first, in the
+        units of the box.
         """
-        guarded = self._guarded
-        yield from self._splits(around, lambda kept: guarded <= set(kept))
+        guarded, seen = self._guarded, self._guarded | self._carrying
+        yield from self._splits(around, lambda kept: seen <= set(kept))
+        yield from self._splits(around, lambda kept: guarded <= set(kept) and not seen <= set(kept))
         yield from self._splits(around, lambda kept: not guarded <= set(kept))
+
+    @cached_property
+    def _carrying(self) -> set[int]:
+        """Active states on which the inertia depends, where the model bounds a momentum."""
+        plant, resting = self.potential.design.loop.plant, self.potential.resting
+        momenta = [self.potential.design.loop.z[i] for i in resting]
+        if not any(str(p) in plant.domain for p in momenta):
+            return set()
+        inertia = sp.hessian(plant.H, momenta)
+        return {i for i, s in enumerate(self.symbols) if inertia.has(s)}
 
     @cached_property
     def _guarded(self) -> set[int]:
@@ -107,11 +123,13 @@ class Splits:
     def _splits(
         self, around: Interval, may: Callable[[tuple[int, ...]], bool]
     ) -> Iterator[Reduced]:
-        d = len(self.symbols)
+        d, below = len(self.symbols), self._below_at_points(around)
         for size in range(d if self._is_mixed else 0, min(d, MOST_KEPT) + 1):
             found = []
             for kept in filter(may, combinations(range(d), size)):
-                reduced = self.split(kept, around)
+                gone = [i for i in range(d) if i not in kept]
+                plausible = _may_be_positive(below[:, gone][:, :, gone])
+                reduced = self.split(kept, around) if plausible else None
                 if reduced is not None:
                     sizes = (around.hi - around.lo)[list(reduced.gone)]
                     scaled = reduced.floor * np.outer(sizes, sizes)
@@ -119,6 +137,26 @@ class Splits:
                     found.append((-float(margin), kept, reduced))
             for _, _, reduced in sorted(found, key=lambda entry: entry[:2]):
                 yield reduced
+
+    def _below_at_points(self, around: Interval) -> Vector:
+        """What `below` encloses at points of the box, in floats, (P, d, d): most splits fail there.
+
+        V_ee is their block of e, whatever is kept; a whole period is looked at where `below` does.
+        """
+        d = len(self.symbols)
+        if self._is_mixed:
+            return np.zeros((0, d, d))
+        turns = np.array([s in self._periodic for s in self.symbols])
+        lo = np.where(turns, -_HALF_PERIOD, around.lo)
+        hi = np.where(turns, _HALF_PERIOD, around.hi)
+        (Hc, _), (K, _) = self._network_floors
+        with np.errstate(all="ignore"):
+            at = point(lo + quasi_random(_POINTS, d, 0) * (hi - lo))
+            slopes = matrix_enclosure(self._slopes, self.symbols, at).mid
+            total = matrix_enclosure(self._hessian, self.symbols, at).mid
+            total = total + np.swapaxes(slopes, 1, 2) @ K.mid @ slopes
+        total[:, -Hc.shape[0] :, -Hc.shape[0] :] += Hc.mid
+        return np.asarray(total[np.isfinite(total).all((1, 2))])
 
     def split(self, kept: Sequence[int], around: Interval) -> Reduced | None:
         """The split that keeps s; None where V_ee ⪰ F ≻ 0 is not proved."""
@@ -188,3 +226,11 @@ class Splits:
             hi.append(ends[1])
         parts = max(4, int(_CELLS ** (1 / max(1, len(used)))))
         return subdivide(Interval(np.array(lo), np.array(hi)), parts)
+
+
+def _may_be_positive(matrices: Vector) -> bool:
+    """Whether no matrix (B, de, de) certainly has a direction in which it is not positive."""
+    if not matrices.size:
+        return True
+    values = np.linalg.eigvalsh((matrices + np.swapaxes(matrices, 1, 2)) / 2)
+    return bool((values[:, 0] > -_ROUNDING * np.abs(values).max(1)).all())

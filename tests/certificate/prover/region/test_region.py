@@ -37,6 +37,20 @@ def test_the_level_at_which_a_bound_is_met_is_the_one_known_by_hand(domain, by_h
     assert certificate.is_global  # beside it
 
 
+def test_a_bound_of_a_momentum_whose_inertia_varies_is_met_where_it_is_lightest():
+    """V = q²/2 + q²/4 + p²/2(1 + q²) with |p| ≤ 2.2: least at 1 + q² = 2.2 √(2/3)."""
+    plant = mechanical(lambda q, p: p**2 / (2 * (1 + q**2)) + q**2 / 2, 1)
+    bounded = dataclasses.replace(plant, domain=sides(p1="11/5"))
+    design = make_design(bounded, (0, 0), QUADRATIC, [0, 0, 1.0, 0, 0, 0, 1.0, 0], [0.0])
+    certificate = certify(design)
+    u = 2.2 * np.sqrt(2 / 3)
+    assert certificate.obstacle.kind == "domain"
+    assert certificate.obstacle.level_above_minimum == pytest.approx(
+        0.75 * (u - 1) + 2.42 / u, rel=1e-3
+    )
+    assert certificate.obstacle_share > 0.99
+
+
 def test_how_far_a_quadratic_reaches_is_known_by_hand():
     """|zᵢ| ≤ √(2c(P⁻¹)ᵢᵢ) on ½zᵀPz ≤ c; the fibres of a constant V_ee waste little."""
     design = chain(sides(q1=1.0))

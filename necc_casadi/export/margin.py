@@ -1,0 +1,181 @@
+"""``necc_margin``: how far a state is inside the region of the certificate.
+
+    margin = (c − V(x, ξ))/(c − V(z̄)),   where s is in a marked cell; elsewhere −1.
+
+The marked cells of a region are leaves of a grid that is halved again and again. On the Z-order
+curve of its finest cells each leaf is one interval of codes; neighbours join. The table holds
+these intervals in order, so that a state is found by halving the table.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from necc_casadi.certificate.claims.certificate import Certificate
+from necc_casadi.certificate.claims.regions import Leaf, Region
+from necc_casadi.export.source import Source
+from necc_casadi.export.templating import fill
+
+__all__ = ["has_margin", "margin_code", "margin_constants", "margin_declaration"]
+
+#: Intervals of codes that the table may have, and bits of a code.
+_MOST_RUNS, _MOST_BITS = 4096, 64
+
+
+def has_margin(source: Source) -> bool:
+    """Whether the code has ``necc_margin``."""
+    return _missing(source) is None
+
+
+def _missing(source: Source) -> str | None:
+    """Why there is no ``necc_margin``."""
+    certificate = source.certificate
+    if certificate is None:
+        return "no certificate came with the design"
+    region = certificate.region
+    if region is None:
+        if certificate.of_the_whole_space:
+            return "what is proved holds from every state, below no level"
+        return "no region is proved"
+    if region.method == "curved":
+        return "V is as low in other components: a way to the minimum tells, not a formula"
+    if _bits(region) > _MOST_BITS or len(_runs(region)) > _MOST_RUNS:
+        return f"the region takes more than {_MOST_RUNS} intervals of cells"
+    return None
+
+
+def margin_constants(source: Source) -> str:
+    """What the header defines about the margin."""
+    missing, certificate = _missing(source), source.certificate
+    if missing is not None or certificate is None:
+        return f"#define NECC_HAS_MARGIN 0 /* {missing} */"
+    lines = ["#define NECC_HAS_MARGIN 1"]
+    levels = (
+        ("LIMITS", certificate.level_u, "u keeps its limits"),
+        ("CLIPPED", certificate.level_clipped, "clipping of u changes nothing that is claimed"),
+    )
+    for name, level, words in levels:
+        if level is not None:
+            least = source.number.literal(_least_margin(source, certificate, level))
+            lines.append(f"#define NECC_MARGIN_{name} {least} /* from here on {words} */")
+    return "\n".join(lines)
+
+
+def margin_declaration(source: Source) -> str:
+    """The prototype of ``necc_margin`` and what it says."""
+    return fill("margin.h") if has_margin(source) else ""
+
+
+def margin_code(source: Source) -> str:
+    """``necc_margin`` with its table."""
+    certificate = source.certificate
+    if not has_margin(source) or certificate is None or not isinstance(certificate.region, Region):
+        return ""
+    region, real = certificate.region, source.number
+    level, height = _level(source, certificate)
+    kept = [region.active[i] for i in region.kept]
+    table = _table(source, region) if kept else ""
+    return fill(
+        "margin.c",
+        level=real.literal(level),
+        height=real.literal(height),
+        table=table,
+        outside=" || !marked(x, xi)" if kept else "",
+        H="" if source.neural_phi else "H[1], ",
+        energy="" if source.neural_phi else "hamiltonian(x, H);",
+        value="s.value" if source.neural_phi else "(s.value + H[0])",
+    )
+
+
+def _level(source: Source, certificate: Certificate) -> tuple[float, float]:
+    """(c, c − V(z̄)) in the units of the model."""
+    if certificate.level is None:
+        raise ValueError("a region without a level")
+    return certificate.level, certificate.level - source.design.V(source.design.z_bar)
+
+
+def _least_margin(source: Source, certificate: Certificate, level: float) -> float:
+    """The margin of {V = level}, rounded up to a number of the exported type."""
+    real, (highest, height) = source.number, _level(source, certificate)
+    exact = (highest - level) / height
+    up = exact + 4 * real.eps * max(abs(highest) / height, exact) if exact > 0 else 0.0
+    return min(up, 1.0)
+
+
+def _table(source: Source, region: Region) -> str:
+    """``marked``: whether s is in a marked cell."""
+    real, box = source.number, region.box
+    kept = [region.active[i] for i in region.kept]
+    units = [float(source.design.units.state[i]) for i in kept]
+    runs, bits = _runs(region), _bits(region)
+    code = "uint32_t" if bits <= 32 else "uint64_t"
+    suffix = "u" if bits <= 32 else "ull"
+    rows = [f"{{{first}{suffix}, {last}{suffix}}}" for first, last in runs]
+    places = [f"x[{i}]" if i < source.n else f"xi[{i - source.n}]" for i in kept]
+    return fill(
+        "marked.c",
+        code=code,
+        axes=len(kept),
+        depth=_deepest(region) + _first_bits(region),
+        count=real.literal(float(box.parts * 2 ** _deepest(region))),
+        last=f"{box.parts * 2 ** _deepest(region) - 1}{suffix}",
+        lo=real.literals(lo * unit for lo, unit in zip(box.lo, units, strict=True)),
+        side=real.literals(side * unit for side, unit in zip(box.side, units, strict=True)),
+        runs=len(runs),
+        rows=_wrapped(rows),
+        places=", ".join(places),
+    )
+
+
+def _wrapped(rows: Sequence[str]) -> str:
+    lines, line = [], ""
+    for row in rows:
+        if line and len(line) + len(row) > 90:
+            lines.append(line)
+            line = ""
+        line += f"{row}, " if line else f"    {row}, "
+    return "\n".join(text.rstrip(" ") for text in [*lines, line]).rstrip(",")
+
+
+def _deepest(region: Region) -> int:
+    return max((depth for depth, _ in region.leaves), default=0)
+
+
+def _first_bits(region: Region) -> int:
+    """Bits of the index of a cell that is not halved."""
+    return max(1, math.ceil(math.log2(region.box.parts)))
+
+
+def _bits(region: Region) -> int:
+    return len(region.kept) * (_deepest(region) + _first_bits(region))
+
+
+def _runs(region: Region) -> list[tuple[int, int]]:
+    """Intervals (first, last) of the codes of the finest cells that are marked, in order."""
+    deepest, axes = _deepest(region), len(region.kept)
+    result: list[tuple[int, int]] = []
+    for first, last in sorted(_interval(leaf, deepest, axes) for leaf in region.leaves):
+        if result and result[-1][1] + 1 == first:
+            result[-1] = (result[-1][0], last)
+        else:
+            result.append((first, last))
+    return result
+
+
+def _interval(leaf: Leaf, deepest: int, axes: int) -> tuple[int, int]:
+    """The codes of a cell's finest parts, which follow each other."""
+    depth, index = leaf
+    below = axes * (deepest - depth)
+    first = _interleaved(index) << below
+    return first, first + (1 << below) - 1
+
+
+def _interleaved(index: Sequence[int]) -> int:
+    """Bits of the indices in turn, the first axis lowest."""
+    axes = len(index)
+    return sum(
+        ((i >> bit) & 1) << (axes * bit + axis)
+        for axis, i in enumerate(index)
+        for bit in range(int(i).bit_length())
+    )
