@@ -112,15 +112,20 @@ def start(out, seed):
     )  # fmt: skip
 
 
+def finished(child) -> int:
+    child.communicate()
+    return child.returncode
+
+
 @pytest.mark.slow
 def test_a_hundred_kills_of_a_rerun(tmp_path):
     """SIGKILL at a random moment: the old folder or the new one, complete; nothing is lost."""
     out, dice = tmp_path / "out", random.Random(0)
     began = time.perf_counter()
-    assert start(out, 0).wait() == 0
+    assert finished(start(out, 0)) == 0
     whole = time.perf_counter() - began
     hashes = {check_whole(out)}
-    assert start(out, 1).wait() == 0
+    assert finished(start(out, 1)) == 0
     hashes.add(check_whole(out))
     (out / "notes.txt").write_text("mine")
     for number in range(100):
@@ -130,7 +135,7 @@ def test_a_hundred_kills_of_a_rerun(tmp_path):
         child.communicate()
         assert check_whole(out) in hashes
         assert (out / "notes.txt").read_text() == "mine"
-    assert start(out, 0).wait() == 0
+    assert finished(start(out, 0)) == 0
     check_whole(out)
     assert (out / "notes.txt").read_text() == "mine"
     assert [path.name for path in tmp_path.iterdir()] == ["out"]

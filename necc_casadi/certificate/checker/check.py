@@ -81,13 +81,23 @@ def _as_worded(evidence: Evidence, result: Checked) -> Checked:
     return Checked(result.name, False, f"claimed in other words than proved: {result.statement}")
 
 
+def _settled(evidence: Evidence, sound: bool) -> Checked:
+    """The kind of stability that is claimed, if one is."""
+    stability = evidence.certificate.stability
+    if stability is None:
+        return Checked("stability", False, "no stability is claimed")
+    name = "attraction" if stability == "asymptotic" else "stability"
+    if not evidence.claimed(name):
+        return Checked(name, False, f"{name} is not claimed, though the certificate calls it so")
+    return (check_attraction if name == "attraction" else check_only_stable)(evidence, sound)
+
+
 def _everything(evidence: Evidence) -> list[Checked]:
     """Each claim, given those that it rests on."""
     certificate = evidence.certificate
     equilibrium, decrease = check_equilibrium(evidence), check_decrease(evidence)
     sound = equilibrium.holds and all(part.holds for part in decrease)
-    attracts = certificate.stability == "asymptotic"
-    settled = (check_attraction if attracts else check_only_stable)(evidence, sound)
+    settled = _settled(evidence, sound)
     results = [equilibrium, *decrease, settled]
     region = certificate.region
     proof, region_holds = None if region is None else region_proof(evidence, region), False

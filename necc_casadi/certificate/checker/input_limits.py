@@ -128,7 +128,7 @@ def _check(
 ) -> Checked:
     """The inputs with this damping are within the limits up to a level."""
     limits, unit = evidence.model.stated_limits, evidence.model.units.energy
-    if level is None or limits is None or proof is None or not sound:
+    if level is None or limits is None or proof is None or not (sound and evidence.claimed(name)):
         given = level is not None and limits is not None and proof is not None
         missing = "what it rests on" if given else "limits, a level or a region in the files"
         return Checked(name, False, f"no input limits are proved, for want of {missing}")

@@ -24,9 +24,8 @@ from necc_casadi.designs.design import Design
 __all__ = ["clipping_is_covered", "holding_level", "input_level"]
 
 
-#: Rounds in which the cells that limit c_u are halved, and cells per round; they end when so many
-#: rounds have gained no more than this share of the height.
-_ROUNDS, _WORST, _PATIENCE, _LITTLE = 20, 512, 3, 0.004
+#: Rounds in which the cells that limit c_u are halved, and cells per round.
+_ROUNDS, _WORST = 20, 512
 
 
 #: Share of the range of an input that stays free at each end.
@@ -48,12 +47,9 @@ def input_level(
     if not _covered(potential):
         return None
     levels = _levels(potential, cells)
-    lowest = [-np.inf] * _PATIENCE
     for _ in range(_ROUNDS):
         worst = np.argsort(levels)[:_WORST]
-        lowest.append(float(levels[worst[0]]))
-        gained = lowest[-1] - lowest[-_PATIENCE]
-        if _eased(levels, bottom) >= ceiling or gained <= _LITTLE * (lowest[-1] - bottom):
+        if _eased(levels, bottom) >= ceiling:
             break
         pieces = _halved(cells[worst], cells)
         others = np.setdiff1d(np.arange(len(levels)), worst)

@@ -169,7 +169,7 @@ def test_words_about_solutions_that_the_data_do_not_say_are_rejected(folder, rej
         claim(in_words, "region")["data"]["follows"] = truth
         claim(in_data, "region")["data"]["follows"] = other
         assert rejected(in_words) == {"region"}
-        assert rejected(in_data) - {"input_limits", "clipping"} == {"region"}
+        assert rejected(in_data) - {"input_limits", "clipping", "contents"} == {"region"}
 
 
 def test_a_weaker_true_statement_is_accepted(folder, tmp_path, rejected):

@@ -104,7 +104,9 @@ def test_level_of_a_quadratic_is_the_one_known_by_hand(make, share):
 
 
 def test_wide_limits_bind_nowhere_and_impossible_ones_everywhere():
-    assert (made := certify(spring((-50, 50)))).level_u == made.level
+    made = certify(spring((-50, 50)))  # clipping binds later than the limits themselves
+    assert made.level_u < made.level_clipped == made.level
+    assert (made := certify(coupled((-50, 50)))).level_u == made.level
     refused = certify(spring((0.5, 1.0)))  # u is 0 at rest
     assert refused.level_u is None
     assert not limits_claim(refused).holds

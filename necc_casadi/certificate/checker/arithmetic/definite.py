@@ -48,7 +48,7 @@ def positive(A: arb_mat, mu: float) -> bool:
     middle = middle_of(A)
     if not np.isfinite(middle).all():
         return False
-    values, vectors = np.linalg.eigh((middle + middle.T) / 2 - mu * np.eye(n))
+    values, vectors = np.linalg.eigh(middle / 2 + middle.T / 2 - mu * np.eye(n))
     if values[0] <= 0:
         return False
     S = arb_mat((vectors / np.sqrt(values)).T.tolist())

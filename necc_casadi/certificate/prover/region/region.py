@@ -33,6 +33,8 @@ __all__ = ["prove_region", "prove_region_within_limits"]
 #: nothing ends the region, multiples of the natural unit of energy.
 _SHARES = tuple(8.0**-k for k in range(6))
 _HEIGHTS = tuple(2.0**k for k in range(-12, 21))
+#: Tries at levels that are nearer, until the level that failed is no higher than this multiple.
+_NEARER, _NEAR = 7, 1.03
 #: Halvings between the last height at which u keeps its limits and the first at which it does not.
 _HALVINGS = 3
 #: The share of the range of a state that is minimised out that is given away.
@@ -93,11 +95,13 @@ class ComponentProof(RegionProof):
             if found is not None:
                 break
             high = share
-        for _ in range(_HALVINGS):
-            if best is None or best >= self._level(high):
+        for _ in range(_NEARER):
+            if best is None:
                 break
             # boxes for a level that is nearer are tighter
             low = (best - self.bottom) / (self.component.level - self.bottom)
+            if high <= _NEAR * low:
+                break
             middle = float(np.sqrt(low * high))
             found = below(self._level(middle))
             best = _larger(best, found)
