@@ -5,9 +5,9 @@
 2. *least cost*: the least quadratic cost alone;
 3. *default*: neither.
 
-Where it is asked for, the one that is kept is improved on responses, and stays where that gives up
-anything that is proved. A candidate is made only while one before it may be beaten. Effort is counted in iterations and
-steps, never in seconds: what is kept is a function of the input.
+Where it is asked for, the one that is kept is improved on responses; that stays out where it gives
+up anything that is proved. A candidate is made only while one before it may be beaten. Effort is
+counted in iterations and steps, never in seconds: what is kept is a function of the input.
 """
 
 from __future__ import annotations

@@ -34,6 +34,10 @@ __all__ = ["LyapunovFunction", "Terms", "control_law", "make_terms", "value"]
 _Symbols = TypeVar("_Symbols", ca.MX, ca.SX)
 
 
+#: Weights that are known, or to be found.
+_Weights = TypeVar("_Weights", ca.DM, ca.MX)
+
+
 @dataclass(frozen=True, eq=False)
 class Terms:
     """The plant's and the controller's symbolic terms as CasADi functions."""
@@ -86,11 +90,11 @@ def value(
 def control_law(
     terms: Terms,
     form: Form,
-    weights: ca.DM | _Symbols,
-    damping: ca.DM | _Symbols,
-    x: _Symbols,
-    xi: _Symbols,
-) -> tuple[_Symbols, _Symbols]:
+    weights: _Weights,
+    damping: ca.DM | ca.MX,
+    x: ca.MX,
+    xi: ca.MX,
+) -> tuple[ca.MX, ca.MX]:
     """U (m,) and ξ̇ (nc,) at x (n,), ξ (nc,), for weights (form.size,) and 𝒟 (2m, 2m)."""
     V = value(
         terms,

@@ -55,6 +55,14 @@ _POWER = 2
 _STEPS, _TRIES = 12, 6
 
 
+#: By how much a step is damped at first; factors after one that succeeds, and one that fails.
+_TRUST, _BOLDER, _SHORTER = 1e-2, 0.2, 6.0
+
+
+#: Damping of the steps at least.
+_LEAST_TRUST = 1e-6
+
+
 #: A step that lowers the objective by less than this share is the last.
 _GAIN = 1e-3
 
@@ -104,18 +112,18 @@ def polished(program: LeastCost, found: Responsive | None) -> Responsive | None:
     search = _Search(program, program.begin(found))
     if not search.may_follow:
         return None
-    now = first = search.at(search.theta)
-    steps, trust = 0, 1e-2
-    for steps in range(1, _STEPS + 1):
-        found, trust = search.step(now, trust)
-        if found is None:
+    first = search.at(search.theta)
+    path, trust = [first], _TRUST
+    while len(path) <= _STEPS:
+        better, trust = search.step(path[-1], trust)
+        if better is None:
             break
-        gain, now = now.value - found.value, found
-        if gain < _GAIN * now.value:
+        path.append(better)
+        if path[-2].value - better.value < _GAIN * better.value:
             break
-    if now is first:
+    if len(path) == 1:
         return None
-    return search.made(first, now, steps, time.perf_counter() - began)
+    return search.made(first, path[-1], len(path) - 1, time.perf_counter() - began)
 
 
 class _Search:
@@ -130,9 +138,9 @@ class _Search:
         self.z_star = np.concatenate([plan.x, begin.xi_star])
         self.theta = self.moving.first(begin.eta)
         self.stays = self._stays()
-        theta = ca.SX.sym("theta", self.moving.size)
+        theta = ca.MX.sym("theta", self.moving.size)
         g, N = self.moving.shape(theta)
-        gap = N - ca.diag(ca.SX(ca.DM(plan.curvature)))
+        gap = N - ca.diag(ca.DM(plan.curvature))
         self.gap = ca.Function("gap", [theta], [ca.densify(gap)])
         slopes = [ca.densify(ca.jacobian(v, theta)) for v in (g, ca.vec(gap))]
         self.slopes = ca.Function("slopes", [theta], slopes)
@@ -155,10 +163,13 @@ class _Search:
         )
 
     def _kernel(self) -> Vector:
-        """Directions that leave ∇V(z*) as it is, (p, free)."""
+        """Directions that leave ∇V(z*) as it is, and damping that was given, (p, free)."""
+        options, size = self.program.options, self.program.plan.natural
         slope = np.asarray(self.slopes.call([self.theta])[0], float)
-        size = self.program.plan.natural
-        _, values, rows = np.linalg.svd(slope * size.state[:, None] / size.energy)
+        slope *= size.state[:, None] / size.energy
+        if options.D is not None or options.Dc is not None:
+            slope = np.vstack([slope, np.eye(self.theta.size)[self.moving.eta_at]])
+        _, values, rows = np.linalg.svd(slope)
         rank = int((values > _RANK * values[0]).sum()) if values.size else 0
         return np.asarray(rows[rank:].T, float)
 
@@ -186,7 +197,7 @@ class _Search:
         box, n = domain_of(plan.loop, self.z_star, plan.natural.state), plan.terms.n
         starts = box.lo[:n] + quasi_random(_STARTS, n, _SEED) * (box.hi - box.lo)[:n]
         rollouts = Rollouts(self.moving, plant, starts)
-        spectrum = np.linalg.eigvals(rollouts.slope(self.theta))
+        spectrum = np.linalg.eigvals(rollouts.slope(self.theta)).astype(complex)
         fastest = float(np.abs(spectrum).max())
         if plant.linear is None or not spectrum.real.max() < 0:
             return rollouts, False
@@ -203,7 +214,7 @@ class _Search:
         problem = Optimum(rollouts.plant, rollouts.step * rollouts.steps)
         own = rollouts.costs(self.theta)
         optimal = np.array([problem.cost(start) for start in rollouts.starts])
-        return np.fmin(own, optimal)
+        return np.asarray(np.fmin(own, optimal), float)
 
     def at(self, theta: Vector) -> _At:
         """The objective; ∞ where V has too little curvature, or the loop is too fast."""
@@ -235,7 +246,7 @@ class _Search:
         return gradient, curvature
 
     def step(self, now: _At, trust: float) -> tuple[_At | None, float]:
-        """The next θ, and how much shorter than Gauss and Newton's the next step begins."""
+        """The next θ, and how much the next step is damped at first."""
         gradient, curvature = self._model(now)
         Z = self.kernel
         g, H = Z.T @ gradient, Z.T @ curvature @ Z
@@ -244,8 +255,8 @@ class _Search:
             theta = self._within(now.theta - Z @ np.linalg.solve(damped, g))
             found = self.at(theta)
             if found.value < now.value:
-                return found, max(trust / 5, 1e-6)
-            trust *= 6
+                return found, max(_BOLDER * trust, _LEAST_TRUST)
+            trust *= _SHORTER
         return None, trust
 
     def _within(self, theta: Vector) -> Vector:

@@ -380,7 +380,7 @@ class _Nlp:
         return np.concatenate(parts)
 
     def _bounds(self, kappa_min: float) -> tuple[Vector, Vector]:
-        lifting, program, loop = self.lifting, self.program, self.loop
+        lifting, program = self.lifting, self.program
         low, high = damping_bounds(lifting.terms.m)
         free = np.full(len(self.pattern), np.inf)
         networks = [network.lower(kappa_min) for network in lifting.form.networks]

@@ -20,10 +20,10 @@ from __future__ import annotations
 
 from copy import copy
 from dataclasses import dataclass
+from typing import TypeVar
 
 import casadi as ca
 import numpy as np
-import numpy.typing as npt
 
 from necc_casadi.arrays import Vector
 from necc_casadi.interrupts import interruptible
@@ -35,6 +35,9 @@ from necc_casadi.synthesis.lifting import Lifting
 from necc_casadi.synthesis.quadratic_cost import damping_variables
 
 __all__ = ["Moving", "Rollouts", "Sums"]
+
+
+_Symbols = TypeVar("_Symbols", ca.MX, ca.SX)
 
 
 #: Up to this many weights the field is evaluated in scalar operations, which are faster.
@@ -71,7 +74,8 @@ class Moving:
             np.array(v, dtype=int) for v in (affine, kappa, centre)
         )
         self.base = np.array(base, float)
-        self.eta, self.damping = damping_variables(trained)
+        self.eta, damping = damping_variables(trained)
+        self._damping = ca.Function("damping", [self.eta], [damping])
         self.size = len(affine) + 2 * len(kappa) + self.eta.numel()
 
     def first(self, eta: Vector) -> Vector:
@@ -80,14 +84,14 @@ class Moving:
         above = np.log(np.fmax(k - self.kappa_min, _ABOVE * self.kappa_min))
         return np.concatenate([self.w0[self.affine], above, k * (o - self.base), eta])
 
-    def split(self, theta: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
+    def split(self, theta: ca.MX) -> tuple[ca.MX, ca.MX, ca.MX, ca.MX]:
         """(output layers, log(κ − κ_min), β, η)."""
         a, k = len(self.affine), len(self.kappa)
         return theta[:a], theta[a : a + k], theta[a + k : a + 2 * k], theta[a + 2 * k :]
 
     def weights_at(self, theta: Vector) -> Vector:
         """The same as numbers."""
-        symbol = ca.SX.sym("theta", self.size)
+        symbol = ca.MX.sym("theta", self.size)
         found = ca.Function("weights", [symbol], [self.weights(symbol)])(theta)
         return np.asarray(found, float).ravel()
 
@@ -96,27 +100,28 @@ class Moving:
         """Where η stands in θ."""
         return slice(self.size - self.eta.numel(), self.size)
 
-    def weights(self, theta: ca.SX) -> ca.SX:
+    def weights(self, theta: ca.MX) -> ca.MX:
         """All weights, (form.size,), in training units."""
         outer, above, beta, _ = self.split(theta)
         kappa = self.kappa_min + ca.exp(above)
-        w = ca.SX(ca.DM(self.w0))
+        w = ca.MX(ca.DM(self.w0))
         w[self.affine.tolist()] = outer
         w[self.kappa.tolist()] = kappa
         w[self.centre.tolist()] = ca.DM(self.base) + beta / kappa
         return ca.DM(self.lifting.sigma) * w + ca.DM(self.lifting.tau)
 
-    def damping_of(self, theta: ca.SX) -> ca.SX:
+    def damping_of(self, theta: ca.MX) -> ca.MX:
         """𝒟, 2m × 2m."""
-        return ca.substitute(self.damping, self.eta, self.split(theta)[-1])
+        found: ca.MX = self._damping(self.split(theta)[-1])
+        return found
 
-    def shape(self, theta: ca.SX) -> tuple[ca.SX, ca.SX]:
+    def shape(self, theta: ca.MX) -> tuple[ca.MX, ca.MX]:
         """∇V and ∇²V at z*."""
         lifting, terms = self.lifting, self.lifting.terms
-        z, w, form = ca.SX.sym("z", terms.n + terms.nc), self.weights(theta), lifting.form
+        z, w, form = ca.MX.sym("z", terms.n + terms.nc), self.weights(theta), lifting.form
         V = value(terms, z, form.controller_energy(w), form.casimir(w), form.outer(w))
         N, g = ca.hessian(V, z)
-        at = ca.SX(np.concatenate([lifting.x_star, self.xi_star]))
+        at = ca.MX(ca.DM(np.concatenate([lifting.x_star, self.xi_star])))
         gradient, hessian = ca.substitute([g, N], [z], [at])
         return gradient, hessian
 
@@ -164,17 +169,19 @@ class Rollouts:
         """(z, θ) -> ż and u, clipped, with their slopes in z and θ."""
         moving, plant = self.moving, self.plant
         terms, form = moving.lifting.terms, moving.lifting.form
-        z, theta = ca.SX.sym("z", terms.n + terms.nc), ca.SX.sym("theta", moving.size)
-        x, xi = z[: terms.n], z[terms.n :]
-        asked, xi_dot = control_law(
-            terms, form, moving.weights(theta), moving.damping_of(theta), x, xi
-        )
+        x, xi = ca.MX.sym("x", self.n), ca.MX.sym("xi", self.nc)
+        theta = ca.MX.sym("theta", moving.size)
+        weights, damping = moving.weights(theta), moving.damping_of(theta)
+        asked, xi_dot = control_law(terms, form, weights, damping, x, xi)
         u = ca.fmin(ca.fmax(asked, ca.DM(plant.u_low)), ca.DM(plant.u_high))
         found = ca.vertcat(plant_dynamics(terms)(x, u), xi_dot, u)
-        if not sensitive:
-            return ca.Function("plain", [z, theta], [ca.densify(found)])
-        slopes = [ca.densify(ca.jacobian(found, v)) for v in (z, theta)]
-        return ca.Function("stage", [z, theta], [ca.densify(found), *slopes])
+        field = ca.Function("field", [x, xi, theta], [ca.densify(found)])
+        sizes = {"z": self.n + self.nc, "theta": moving.size}
+        if form.size <= _SCALAR_WEIGHTS:
+            scalars = [ca.SX.sym(name, size) for name, size in sizes.items()]
+            return _with_slopes(field.expand(), scalars, self.n, sensitive)
+        symbols = [ca.MX.sym(name, size) for name, size in sizes.items()]
+        return _with_slopes(field, symbols, self.n, sensitive)
 
     def slope(self, theta: Vector) -> Vector:
         """∂ż/∂z at z*, (n + nc, n + nc)."""
@@ -217,7 +224,9 @@ class Rollouts:
         root = np.sqrt(weights)[:, None, None]
 
         def field(z: Vector, S: Vector) -> tuple[Vector, Vector]:
-            value, by_z, by_theta = (np.asarray(v, float) for v in self.stage.call([z.T, parameters]))
+            value, by_z, by_theta = (
+                np.asarray(v, float) for v in self.stage.call([z.T, parameters])
+            )
             rows = value.shape[0]
             A = by_z.reshape(rows, count, size).transpose(1, 0, 2)
             B = by_theta.reshape(rows, count, p).transpose(1, 0, 2)
@@ -256,6 +265,16 @@ class Rollouts:
     def _residuals(self, z: Vector, u: Vector) -> Vector:
         away = (z[:, : self.n] - self.plant.x_star) @ self.state_root.T
         return np.concatenate([away, (u - self.plant.u_star) @ self.input_root.T], axis=1)
+
+
+def _with_slopes(
+    field: ca.Function, symbols: list[_Symbols], n: int, sensitive: bool
+) -> ca.Function:
+    """(z, θ) -> the field, and its slopes in z and in θ."""
+    z, theta = symbols
+    value = field(z[:n], z[n:], theta)
+    slopes = [ca.densify(ca.jacobian(value, v)) for v in symbols] if sensitive else []
+    return ca.Function("stage", symbols, [value, *slopes])
 
 
 def _root(matrix: Vector) -> Vector:
