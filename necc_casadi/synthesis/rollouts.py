@@ -146,7 +146,7 @@ class Rollouts:
         self.state_root = _root(plant.cost.Q)
         #: what follows the horizon costs about what LQR pays for it
         self.end_root = np.zeros((0, self.n)) if plant.linear is None else _root(plant.linear.P)
-        self._one, self._one_plain = self._stage(True), self._stage(False)
+        self._one_plain, self._one = self._stages()
         self._maps()
 
     def _maps(self) -> None:
@@ -165,8 +165,8 @@ class Rollouts:
         result._maps()
         return result
 
-    def _stage(self, sensitive: bool) -> ca.Function:
-        """(z, θ) -> ż and u, clipped, with their slopes in z and θ."""
+    def _stages(self) -> tuple[ca.Function, ca.Function]:
+        """(z, θ) -> ż and u, clipped; and the same with their slopes in z and θ."""
         moving, plant = self.moving, self.plant
         terms, form = moving.lifting.terms, moving.lifting.form
         x, xi = ca.MX.sym("x", self.n), ca.MX.sym("xi", self.nc)
@@ -175,13 +175,13 @@ class Rollouts:
         asked, xi_dot = control_law(terms, form, weights, damping, x, xi)
         u = ca.fmin(ca.fmax(asked, ca.DM(plant.u_low)), ca.DM(plant.u_high))
         found = ca.vertcat(plant_dynamics(terms)(x, u), xi_dot, u)
-        field = ca.Function("field", [x, xi, theta], [ca.densify(found)])
-        sizes = {"z": self.n + self.nc, "theta": moving.size}
-        if form.size <= _SCALAR_WEIGHTS:
-            scalars = [ca.SX.sym(name, size) for name, size in sizes.items()]
-            return _with_slopes(field.expand(), scalars, self.n, sensitive)
-        symbols = [ca.MX.sym(name, size) for name, size in sizes.items()]
-        return _with_slopes(field, symbols, self.n, sensitive)
+        split = ca.Function("split", [x, xi, theta], [ca.densify(found)])
+        z = ca.MX.sym("z", self.n + self.nc)
+        field = ca.Function("field", [z, theta], [split(z[: self.n], z[self.n :], theta)])
+        if form.size > _SCALAR_WEIGHTS:
+            return field, _with_slopes(field, [z, theta])
+        scalars = [ca.SX.sym(s.name(), s.numel()) for s in (z, theta)]
+        return field.expand(), _with_slopes(field.expand(), scalars)
 
     def slope(self, theta: Vector) -> Vector:
         """∂ż/∂z at z*, (n + nc, n + nc)."""
@@ -267,14 +267,11 @@ class Rollouts:
         return np.concatenate([away, (u - self.plant.u_star) @ self.input_root.T], axis=1)
 
 
-def _with_slopes(
-    field: ca.Function, symbols: list[_Symbols], n: int, sensitive: bool
-) -> ca.Function:
+def _with_slopes(field: ca.Function, symbols: list[_Symbols]) -> ca.Function:
     """(z, θ) -> the field, and its slopes in z and in θ."""
-    z, theta = symbols
-    value = field(z[:n], z[n:], theta)
-    slopes = [ca.densify(ca.jacobian(value, v)) for v in symbols] if sensitive else []
-    return ca.Function("stage", symbols, [value, *slopes])
+    value = field(*symbols)
+    by_z, by_theta = (ca.densify(ca.jacobian(value, v)) for v in symbols)
+    return ca.Function("stage", symbols, [value, by_z, by_theta])
 
 
 def _root(matrix: Vector) -> Vector:

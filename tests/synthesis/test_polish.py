@@ -61,7 +61,7 @@ def test_inputs_are_clipped_in_the_responses(search, pendulum):
     """Where the law asks for more, the plant gets the limit."""
     narrow = copy(search.rollouts)
     narrow.plant = replace(narrow.plant, u_low=np.array([-0.8]), u_high=np.array([0.8]))
-    narrow._one_plain = narrow._stage(False)
+    narrow._one_plain, narrow._one = narrow._stages()
     narrow._maps()
     z = np.tile(search.z_star, (len(narrow.starts), 1)) + 3.0
     u = np.asarray(narrow.plain(z.T, np.repeat(search.theta[:, None], len(z), axis=1)))[-1]
