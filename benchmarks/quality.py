@@ -6,7 +6,10 @@ and disk margins at the plant's input; how many starts arrive; what is proved: t
 the share of the plant's states at rest that the region holds; processor seconds of design and
 proofs.
 
-    python benchmarks/quality.py [NAME ...]
+    python benchmarks/quality.py [--polish] [NAME ...]
+
+With --polish, the design that the tool keeps where it is asked to improve it on responses stands
+beside the one that it keeps otherwise, in place of the plain default.
 
 Weights are Bryson's: 1/size² of every state and input. Inputs stay within the limits
 of the model, where it has any.
@@ -16,8 +19,11 @@ from __future__ import annotations
 
 import sys
 import time
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 from necc_casadi import (
     Certificate,
@@ -93,27 +99,41 @@ def cells(made: Design, certificate: Certificate, seconds: float) -> tuple[str, 
     ]
 
 
-def row(label: str) -> list[str]:
+def row(label: str, polish: bool) -> list[str]:
     """One line of the table."""
     name, target, convex = CASES[label]
     parts, options = task(name, target).parts, Options(convex=convex)
+    if polish:
+        linear, before, _ = kept(parts, options)
+        _, after, how = kept(parts, replace(options, polish=True))
+        return [label, linear, *before, *after, how]
     began = time.process_time()
     plain = design(*parts, options)
     certificate = certify(plain)
     linear, before = cells(plain, certificate, time.process_time() - began)
+    _, after, how = kept(parts, options)
+    return [label, linear, *before, *after, how]
+
+
+def kept(parts: Sequence[Any], options: Options) -> tuple[str, list[str], str]:
+    """LQR's ratio, the cells of the design that is kept, and what it is."""
     began = time.process_time()
     choice = choose(*parts, options)
-    _, after = cells(choice.design, choice.certificate, time.process_time() - began)
-    return [label, linear, *before, *after, choice.kept.name]
+    linear, found = cells(choice.design, choice.certificate, time.process_time() - began)
+    names = [choice.kept.name]
+    if choice.kept.name == "polished":
+        names.insert(0, choice.others[-1].name)
+    return linear, found, ", ".join(names)
 
 
-def main(chosen: list[str]) -> None:
+def main(arguments: list[str]) -> None:
     """Print the table."""
+    chosen = [word for word in arguments if word != "--polish"]
     print("| " + " | ".join(HEADER) + " |")
     print("|" + "---|" * len(HEADER))
     for label in CASES:
         if not chosen or any(word in label for word in chosen):
-            print("| " + " | ".join(row(label)) + " |", flush=True)
+            print("| " + " | ".join(row(label, "--polish" in arguments)) + " |", flush=True)
 
 
 if __name__ == "__main__":

@@ -34,8 +34,9 @@ PhiForm = Literal["sum", "neural"]
 Shape = Literal["none", "regulariser", "level"]
 
 
-#: Of the training program: g = 0, t = 0 imposed, alone, over samples or for cost; or min s + t.
-Mode = Literal["hard", "shaped", "cost", "soft"]
+#: Of the training program: g = 0, t = 0 imposed, alone, over samples, for cost or for the cost of
+#: responses; or min s + t.
+Mode = Literal["hard", "shaped", "cost", "polished", "soft"]
 
 
 #: Where ξ starts: at ξ*, or at the minimum of V(x(0), ·).

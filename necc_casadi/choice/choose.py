@@ -5,8 +5,9 @@
 2. *least cost*: the least quadratic cost alone;
 3. *default*: neither.
 
-A candidate is made only while one before it may be beaten. Effort is counted in iterations and
-steps, never in seconds: what is kept is a function of the input.
+Where it is asked for, the one that is kept is improved on responses; that stays out where it gives
+up anything that is proved. A candidate is made only while one before it may be beaten. Effort is
+counted in iterations and steps, never in seconds: what is kept is a function of the input.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from necc_casadi.arrays import Vector
 from necc_casadi.casimirs.casimirs import Casimirs
 from necc_casadi.certificate.claims.certificate import Certificate
 from necc_casadi.certificate.prover.certify import certify
-from necc_casadi.choice.decide import NEAR, Passed, decide
+from necc_casadi.choice.decide import NEAR, Passed, decide, gives_up
 from necc_casadi.choice.judged import Judged, Name, Trial, cost_ratio
 from necc_casadi.designs.design import Design
 from necc_casadi.designs.outcome import Start, solver_seconds
@@ -30,7 +31,7 @@ from necc_casadi.model.closed_loop import ClosedLoop
 from necc_casadi.performance.other_minima import LowerMinimum, lower_minimum
 from necc_casadi.performance.saturated import lqr_costs, saturated
 from necc_casadi.performance.shares import plant_share, unclipped_share
-from necc_casadi.synthesis.options import Options
+from necc_casadi.synthesis.options import Options, check_options
 from necc_casadi.synthesis.plan import make_plan, whole_space_stiffness
 from necc_casadi.synthesis.synthesis import answered
 from necc_casadi.verdict.verdict import Verdict
@@ -45,6 +46,10 @@ _NEAR_LQR = 1.15
 
 #: Loops of more states are not trained for least cost: its program grows with their square.
 _MOST_STATES = 12
+
+
+#: What the output layers cost to move when a design is polished, in the order in which it is tried.
+_HOLDS = (1e2, 3e3, 1e5)
 
 
 #: Hears what is being done.
@@ -131,8 +136,11 @@ def choose(
     ('whole space', True)
     """
     options = options or Options()
-    maker = _Maker(loop, casimirs, verdict, x_star, options, say or (lambda text: None))
-    kept, others, passed = _chosen(maker)
+    check_options(options)
+    plain = replace(options, polish=False)
+    maker = _Maker(loop, casimirs, verdict, x_star, plain, say or (lambda text: None))
+    found = _chosen(maker)
+    kept, others, passed = _polished(maker, found) if options.polish else found
     lower = None
     if not kept.whole:
         with maker.stage("choice", kept.name, "other minima of V"):
@@ -180,6 +188,46 @@ def _beside_the_whole_space(
     usual = maker.proved(default or maker.made("default", maker.options))
     others = [whole] if least is None else [whole, maker.proved(least)]
     return _decided([*others, usual], passed)
+
+
+def _polished(maker: _Maker, found: _Chosen) -> _Chosen:
+    """With the candidate that is kept improved on responses, where nothing proved is given up."""
+    kept, others, passed = found
+    why = ""
+    for hold in _HOLDS:
+        trial = maker.made("polished", replace(kept.options, polish=True, hold=hold))
+        if not any(start.mode == "polished" for start in trial.design.starts):
+            return kept, others, (*passed, Passed("polished", "no response was improved"))
+        reason = _no_better(trial, kept)
+        if reason is None:
+            better = maker.proved(trial)
+            reason = _is_less_proved(better, kept)
+            if reason is None:
+                times = cost_ratio(kept.response.cost, better.response.cost) or 1.0
+                paid = Passed(kept.name, f"it costs {times:.3g} times as much")
+                return better, (*others, kept), (*passed, paid)
+        why = why or reason
+    return kept, others, (*passed, Passed("polished", why))
+
+
+def _no_better(trial: Trial, kept: Judged) -> str | None:
+    """Why responses are no better than those of the candidate that is kept."""
+    count = len(trial.response.arrived)
+    if trial.arrivals < kept.arrivals:
+        return f"{trial.arrivals} of {count} starts arrive with it, not {kept.arrivals}"
+    ratio = cost_ratio(trial.response.cost, kept.response.cost)
+    if trial.arrivals == kept.arrivals and (ratio is None or ratio >= 1):
+        return "it costs no less"
+    return None
+
+
+def _is_less_proved(better: Judged, kept: Judged) -> str | None:
+    """What is no longer proved, or asked of the inputs, of a candidate that costs less."""
+    if kept.proved and not better.proved:
+        return "not every claim about it is proved"
+    if kept.fits_limits and not better.fits_limits:
+        return "it asks for more than the inputs' limits"
+    return gives_up(better, kept, f"the {kept.name} design")
 
 
 def _decided(made: list[Judged], passed: list[Passed]) -> _Chosen:
@@ -310,7 +358,8 @@ class _Maker:
             self.say(f"{head}training: {count}, loss {start.loss:.1e}")
 
         with self.stage("design", name, "training"):
-            made_by = options if name == "as asked" or options.least_cost else _unweighted(options)
+            as_it_is = name == "as asked" or options.least_cost or options.shaping is not None
+            made_by = options if as_it_is else _unweighted(options)
             parts = (self.loop, self.casimirs, self.verdict, self.x_star)
             found = answered(*parts, made_by, report)
         made = found.design

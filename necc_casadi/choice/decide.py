@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 from necc_casadi.choice.judged import Judged, Name, cost_ratio
 
-__all__ = ["NEAR", "Passed", "decide"]
+__all__ = ["NEAR", "Passed", "decide", "gives_up"]
 
 
 #: Costs within this share of each other are equal: other starts would tell otherwise.
@@ -54,28 +54,28 @@ def decide(candidates: Sequence[Judged]) -> tuple[Judged, tuple[Passed, ...]]:
     drop(lambda c: None if c.fits_limits else "it asks for more than the inputs' limits")
     default = next((c for c in left if c.name == "default"), None)
     if default is not None:
-        drop(lambda c: _loses(c, default))
+        drop(lambda c: gives_up(c, default, "the default"))
     kept = _cheapest(left)
     passed += [Passed(c.name, _dearer(c, kept)) for c in left if c is not kept]
     return kept, tuple(passed)
 
 
-def _loses(candidate: Judged, default: Judged) -> str | None:
-    """What of the default's region a candidate gives up."""
-    if default.whole and not candidate.whole:
-        return "the default is proved on the whole space, it is not"
-    if default.converges and not candidate.converges:
-        return "solutions are proved to converge with the default, with it they are not"
-    if not candidate.whole and candidate.plant_share < default.plant_share:
+def gives_up(candidate: Judged, other: Judged, called: str) -> str | None:
+    """What of another's region a candidate gives up."""
+    if other.whole and not candidate.whole:
+        return f"{called} is proved on the whole space, it is not"
+    if other.converges and not candidate.converges:
+        return f"solutions are proved to converge with {called}, with it they are not"
+    if not candidate.whole and candidate.plant_share < other.plant_share:
         return (
             f"its region holds {100 * candidate.plant_share:.3g} % of the plant's states at rest, "
-            f"the default's {100 * default.plant_share:.3g} %"
+            f"{called}'s {100 * other.plant_share:.3g} %"
         )
-    own, usual = candidate.unclipped_share, default.unclipped_share
+    own, usual = candidate.unclipped_share, other.unclipped_share
     if own is not None and usual is not None and own < usual:
         return (
             f"inputs are proved to keep their limits from {100 * own:.3g} % of the plant's states "
-            f"at rest, the default's from {100 * usual:.3g} %"
+            f"at rest, {called}'s from {100 * usual:.3g} %"
         )
     return None
 

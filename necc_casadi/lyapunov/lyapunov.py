@@ -28,10 +28,14 @@ from necc_casadi.lyapunov.parameterization import Form
 from necc_casadi.lyapunov.sympy2casadi import casadi_function
 from necc_casadi.model.closed_loop import ClosedLoop
 
-__all__ = ["LyapunovFunction", "Terms", "make_terms", "value"]
+__all__ = ["LyapunovFunction", "Terms", "control_law", "make_terms", "value"]
 
 
 _Symbols = TypeVar("_Symbols", ca.MX, ca.SX)
+
+
+#: Weights that are known, or to be found.
+_Weights = TypeVar("_Weights", ca.DM, ca.MX)
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,6 +85,33 @@ def value(
     """V(z) = Φ(H(x) + Hc(ξ), C(c(z))) for any functions Hc, C and Φ."""
     x, xi = z[: terms.n], z[terms.n :]
     return outer(terms.H(x) + controller_energy(xi), casimir(terms.c(z)))
+
+
+def control_law(
+    terms: Terms,
+    form: Form,
+    weights: _Weights,
+    damping: ca.DM | ca.MX,
+    x: ca.MX,
+    xi: ca.MX,
+) -> tuple[ca.MX, ca.MX]:
+    """U (m,) and ξ̇ (nc,) at x (n,), ξ (nc,), for weights (form.size,) and 𝒟 (2m, 2m)."""
+    V = value(
+        terms,
+        ca.vertcat(x, xi),
+        form.controller_energy(weights),
+        form.casimir(weights),
+        form.outer(weights),
+    )
+    grad_H = terms.grad_H(x)
+    grad_Hc = ca.gradient(form.controller_energy(weights)(xi), xi)
+    G, Gc = terms.G(x), terms.Gc(xi)
+    passive = ca.vertcat(G.T @ ca.gradient(V, x), Gc.T @ ca.gradient(V, xi))
+    injected = -damping @ passive
+    v, v_c = injected[: terms.m], injected[terms.m :]
+    u = -Gc.T @ grad_Hc + v
+    xi_dot = terms.Fc(xi) @ grad_Hc + Gc @ (G.T @ grad_H + v_c)
+    return u, xi_dot
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,17 +202,9 @@ class LyapunovFunction:
     @cached_property
     def control_law_function(self) -> ca.Function:
         """(x, ξ) -> (u, ξ̇), the exported controller."""
-        terms = self.terms
-        x, xi = ca.MX.sym("x", terms.n), ca.MX.sym("xi", terms.nc)
-        V = self(ca.vertcat(x, xi))
-        grad_H = terms.grad_H(x)
-        grad_Hc = ca.gradient(self.form.controller_energy(ca.DM(self.weights))(xi), xi)
-        G, Gc = terms.G(x), terms.Gc(xi)
-        passive = ca.vertcat(G.T @ ca.gradient(V, x), Gc.T @ ca.gradient(V, xi))
-        injected = -ca.DM(self.damping) @ passive
-        v, v_c = injected[: terms.m], injected[terms.m :]
-        u = -Gc.T @ grad_Hc + v
-        xi_dot = terms.Fc(xi) @ grad_Hc + Gc @ (G.T @ grad_H + v_c)
+        x, xi = ca.MX.sym("x", self.terms.n), ca.MX.sym("xi", self.terms.nc)
+        weights, damping = ca.DM(self.weights), ca.DM(self.damping)
+        u, xi_dot = control_law(self.terms, self.form, weights, damping, x, xi)
         return ca.Function("necc", [x, xi], [u, xi_dot], ["x", "xi"], ["u", "xi_dot"])
 
     @cached_property

@@ -109,9 +109,15 @@ def _sweep(*matrices: Vector) -> Vector:
 
 
 def _response(A: Vector, B: Vector, C: Vector, w: Vector) -> _Complex:
-    """L(jω) for many ω, (…, m, m)."""
+    """L(jω) for many ω, (…, m, m); next to a pole where ω is one to the last digit."""
     resolvent = 1j * np.asarray(w)[..., None, None] * np.eye(len(A)) - A
-    return np.asarray(C @ np.linalg.solve(resolvent, np.broadcast_to(B, (*np.shape(w), *B.shape))))
+    forces = np.broadcast_to(B, (*np.shape(w), *B.shape))
+    try:
+        states = np.linalg.solve(resolvent, forces)
+    except np.linalg.LinAlgError:
+        beside = np.finfo(float).eps * np.linalg.norm(A)
+        states = np.linalg.solve(resolvent + beside * np.eye(len(A)), forces)
+    return np.asarray(C @ states)
 
 
 def _of_one_input(A: Vector, B: Vector, C: Vector, w: Vector) -> tuple[float, float, float, float]:

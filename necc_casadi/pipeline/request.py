@@ -41,6 +41,7 @@ class Choices:
     a: float | None = None
     convex: bool | None = None
     learn_casimir: bool | None = None
+    polish: bool | None = None
     shape: Shape | None = None
     gamma: float | None = None
     seed: int | None = None

@@ -60,6 +60,8 @@ class Options:
     convex: bool = False  # quadratic parts stiff enough to make V convex everywhere
     whole: bool = False  # quadratic parts stiff enough for V to have one critical point
     learn_casimir: bool = False  # a network C(z), a Casimir only approximately
+    polish: bool = False  # improve V and damping on responses, after everything else
+    hold: float = 100.0  # then: what output layers cost to move, beside quadratic parts
     shape: Shape = "none"
     gamma: float | None = None  # of the regulariser; None: 1
     initial_xi: InitialXi | None = None  # where ξ starts; None: what is better in simulation
@@ -155,6 +157,7 @@ def check_options(options: Options) -> None:
             "usage", f"--gamma {options.gamma} is not a positive number", "Try --gamma 1."
         )
     _check_response(options)
+    _check_polish(options)
     if options.shaping is None:
         return
     for clash, name, remedy in (
@@ -191,6 +194,26 @@ def _check_response(options: Options) -> None:
                 f"{asked[0]} and {name} exclude each other",
                 "Drop one: V and its damping are chosen for the response, with "
                 "Φ = H + Hc + K(c₁, …, c_r).",
+            )
+
+
+def _check_polish(options: Options) -> None:
+    """Responses are improved for Φ = H + Hc + K(c₁, …, c_r), and for their cost alone."""
+    if not options.polish:
+        return
+    for clash, name in (
+        (not options.quadratic, "--paper"),
+        (options.phi != "sum", "--phi neural"),
+        (options.casimir_form == "sum", "--casimir-form sum"),
+        (options.learn_casimir, "--learn-casimir"),
+        (options.rate is not None, "a rate"),
+        (options.peak_u is not None, "a peak of u"),
+    ):
+        if clash:
+            raise OptionError(
+                "usage",
+                f"--polish and {name} exclude each other",
+                "Drop one: --polish lowers the cost of responses, with Φ = H + Hc + K(c₁, …, c_r).",
             )
 
 

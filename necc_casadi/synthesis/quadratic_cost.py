@@ -40,7 +40,15 @@ from necc_casadi.lyapunov.networks import Network
 from necc_casadi.synthesis.lifting import Lifting
 from necc_casadi.synthesis.programs import Program
 
-__all__ = ["Begin", "LinearQuadratic", "Responsive", "coupled_damping", "least_cost"]
+__all__ = [
+    "Begin",
+    "LinearQuadratic",
+    "Responsive",
+    "coupled_damping",
+    "damping_bounds",
+    "damping_variables",
+    "least_cost",
+]
 
 
 #: Multiples of LQR's fastest mode that the loop may have.
@@ -196,7 +204,7 @@ def least_cost(
 
 def coupled_damping(trained: Vector, eta: Vector) -> Vector:
     """𝒟 of its variables η beside the damping of training, 2m × 2m."""
-    symbols, D = _damping(trained)
+    symbols, D = damping_variables(trained)
     return _readable(np.asarray(ca.Function("damping", [symbols], [D])(eta), float))
 
 
@@ -213,7 +221,7 @@ class _Loop:
         terms, self.aim = lifting.terms, aim
         n, m = terms.n, terms.m
         self.size = lifting.scales.state
-        self.eta, D = _damping(damping)
+        self.eta, D = damping_variables(damping)
         z = ca.vertcat(ca.SX(lifting.x_star), lifting.xi)
         G, Gc = terms.G(z[:n]), terms.Gc(lifting.xi)
         ports = ca.vertcat(ca.horzcat(G, ca.SX(n, m)), ca.horzcat(ca.SX(terms.nc, m), Gc))
@@ -270,7 +278,15 @@ def _controller_slope(lifting: Lifting) -> ca.SX:
     return ca.substitute(ca.jacobian(output, s), s, lifting.xi)
 
 
-def _damping(start: Vector) -> tuple[ca.SX, ca.SX]:
+def damping_bounds(m: int) -> tuple[Vector, Vector]:
+    """Bounds of η."""
+    coupling = np.full(2 * m * (2 * m - 1), _COUPLING)
+    diagonal = np.ones(2 * m)
+    low = np.concatenate([np.log(_LEAST_DAMPING) * diagonal, -coupling])
+    return low, np.concatenate([np.log(_MOST_DAMPING) * diagonal, coupling])
+
+
+def damping_variables(start: Vector) -> tuple[ca.SX, ca.SX]:
     """Variables η (0 at the start) and 𝒟 = root (LLᵀ + skew) root, whose diagonal part is first."""
     size = len(start)
     below = [(i, j) for i in range(size) for j in range(i)]
@@ -364,11 +380,8 @@ class _Nlp:
         return np.concatenate(parts)
 
     def _bounds(self, kappa_min: float) -> tuple[Vector, Vector]:
-        lifting, program, loop = self.lifting, self.program, self.loop
-        diagonal = 2 * lifting.terms.m
-        eta = np.full(loop.eta.numel(), _COUPLING)
-        low, high = -eta, eta.copy()
-        low[:diagonal], high[:diagonal] = np.log(_LEAST_DAMPING), np.log(_MOST_DAMPING)
+        lifting, program = self.lifting, self.program
+        low, high = damping_bounds(lifting.terms.m)
         free = np.full(len(self.pattern), np.inf)
         networks = [network.lower(kappa_min) for network in lifting.form.networks]
         lower = [np.full(lifting.small.numel(), -np.inf), program.lower, low, -free, *networks]

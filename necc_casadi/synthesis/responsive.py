@@ -79,10 +79,6 @@ class Reached:
     unmoved: complex | None = None  # a mode of the plant that no input moves and that is too slow
 
 
-def _of(found: Responsive) -> Begin:
-    return Begin(found.weights, found.xi_star, found.eta)
-
-
 class LeastCost:
     """Solutions of the least-cost program from one trained V, for any rate and price of inputs."""
 
@@ -95,8 +91,8 @@ class LeastCost:
             self.program = hard_program(self.lifting, plan.curvature, plan.anchor.stiffness)
         drift = np.asarray(terms.F(plan.x) @ terms.grad_H(plan.x), float).ravel()
         port = np.asarray(terms.G(plan.x), float)
-        holding = np.linalg.lstsq(port, -drift, rcond=None)[0]
-        self.A, self.B = plant_linearisation(terms, plan.x, holding)
+        self.holding = np.linalg.lstsq(port, -drift, rcond=None)[0]  # (m,) u at the target
+        self.A, self.B = plant_linearisation(terms, plan.x, self.holding)
 
     def at(self, rate: float, price: float = 1.0) -> Reached:
         """The loop of least cost whose modes exceed a rate, or the fastest on the way to it.
@@ -115,13 +111,15 @@ class LeastCost:
         first = self._solved(0.0, price, None)
         if first is not None and first.after >= first.before and rate == 0:
             first = None
-        now = self._begin if first is None else _of(first)
+        now = self.begin(first)
         if rate == 0 or self._rate(now) >= rate:
             return Reached(first)
         return self._faster(rate, price, now)
 
-    @property
-    def _begin(self) -> Begin:
+    def begin(self, found: Responsive | None) -> Begin:
+        """A solution, or what training ended with, as a place to begin at."""
+        if found is not None:
+            return Begin(found.weights, found.xi_star, found.eta)
         m = self.plan.terms.m
         eta = np.zeros(2 * m + 2 * m * (2 * m - 1))
         return Begin(self.solution.weights, self.solution.xi_star, eta)
@@ -143,11 +141,11 @@ class LeastCost:
             if reached >= rate or not shares or reached <= 0:
                 break
             solved = self._solved(shares[0] * reached, price, begin, min(rate, _AHEAD * reached))
-            if solved is None or self._rate(_of(solved)) < _FASTER * reached:
+            if solved is None or self._rate(self.begin(solved)) < _FASTER * reached:
                 shares.pop(0)
                 continue
             found, bound, shares = solved, solved.at_the_bound, list(_SHARES)
-            begin = _of(solved)
+            begin = self.begin(solved)
         if self._rate(begin) >= rate:
             found, bound = self._cheaper(rate, price, begin) or found, False
         return Reached(self._as_it_is(begin) if found is None else found, bound)
@@ -156,7 +154,7 @@ class LeastCost:
         """Less cost at the rate; where that shift is too much for IPOPT, at less of it."""
         for share in _LESS:
             solved = self._solved(share * rate, price, begin, rate)
-            if solved is not None and self._rate(_of(solved)) >= rate:
+            if solved is not None and self._rate(self.begin(solved)) >= rate:
                 return solved
         return None
 

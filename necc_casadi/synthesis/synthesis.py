@@ -23,6 +23,7 @@ from necc_casadi.synthesis.damping import choose_damping
 from necc_casadi.synthesis.learned_casimir import casimir_residual
 from necc_casadi.synthesis.options import Options
 from necc_casadi.synthesis.plan import Plan, make_plan
+from necc_casadi.synthesis.polish import polished
 from necc_casadi.synthesis.quadratic_cost import Responsive
 from necc_casadi.synthesis.responsive import LeastCost
 from necc_casadi.synthesis.training import Solution, train
@@ -107,12 +108,22 @@ def answered(
         verbose=options.verbose,
     )
     finish = _Finish(loop, verdict, x_star, options, plan, solution)
-    if options.asks_for_cost:
+    if options.polish:
+        found = Answer(finish(_polished(finish)), None)
+    elif options.asks_for_cost:
         program = LeastCost(plan, options, solution, finish.damping)
         found = answer(program, options, finish)
     else:
         found = Answer(finish(None), None)
     return replace(found, design=_started(found, plan, options))
+
+
+def _polished(finish: _Finish) -> Responsive | None:
+    """What is found on responses, from the least cost where that is asked for."""
+    options, solution = finish.options, finish.solution
+    program = LeastCost(finish.plan, options, solution, finish.damping)
+    least = program.at(0.0).found if options.asks_for_cost else None
+    return polished(program, least) or least
 
 
 def _started(found: Answer, plan: Plan, options: Options) -> Design:

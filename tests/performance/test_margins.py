@@ -4,7 +4,7 @@ import control
 import numpy as np
 import pytest
 
-from necc_casadi.performance.margins import margins
+from necc_casadi.performance.margins import _response, margins
 
 
 def of(numerator, denominator):
@@ -102,3 +102,11 @@ def test_margins_of_a_design_are_python_controls(designs, name):
         )[1]
         phases += [phase, *np.abs(every)]
     assert found.phase_deg == pytest.approx(min(np.abs(phases)), rel=1e-3)
+
+
+def test_a_frequency_that_is_a_pole_has_a_response():
+    """To the last digit: the resolvent is singular there, and L as large as numbers tell."""
+    A, B, C = np.array([[0.0, 1.0], [-1.0, 0.0]]), np.array([[0.0], [1.0]]), np.array([[1.0, 0.0]])
+    at_pole, beside = np.abs(_response(A, B, C, np.array([1.0, 1.1])))[:, 0, 0]
+    assert 1e12 < at_pole < np.inf
+    assert beside == pytest.approx(1 / (1.1**2 - 1))

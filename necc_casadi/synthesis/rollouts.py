@@ -1,0 +1,282 @@
+"""Responses of many starts at once, what they cost, and how that changes with V and the damping.
+
+With hidden layers and ξ* as they are, what moves is
+
+    θ = (output layers, log(κ − κ_min), β, η),   ½κ(v − v*)² − βv  the quadratic parts,
+
+v* what a network sees at z*, η the damping (quadratic_cost.py). The classical method of Runge and
+Kutta is differentiated as it stands: with ż = f(z, θ), each of its stages carries
+
+    Ṡ = ∂f/∂z S + ∂f/∂θ,   S = ∂z/∂θ,
+
+and the residuals of the cost, of states and of inputs within their limits, follow from S.
+
+References
+----------
+Hairer, Nørsett and Wanner (1993), II.1 and II.6.
+"""
+
+from __future__ import annotations
+
+from copy import copy
+from dataclasses import dataclass
+from typing import TypeVar
+
+import casadi as ca
+import numpy as np
+
+from necc_casadi.arrays import Vector
+from necc_casadi.interrupts import interruptible
+from necc_casadi.lyapunov.lyapunov import control_law, value
+from necc_casadi.lyapunov.networks import Network
+from necc_casadi.lyapunov.opened_loop import plant_dynamics
+from necc_casadi.performance.plant_model import PlantModel
+from necc_casadi.synthesis.lifting import Lifting
+from necc_casadi.synthesis.quadratic_cost import damping_variables
+
+__all__ = ["Moving", "Rollouts", "Sums"]
+
+
+_Symbols = TypeVar("_Symbols", ca.MX, ca.SX)
+
+
+#: Up to this many weights the field is evaluated in scalar operations, which are faster.
+_SCALAR_WEIGHTS = 10_000
+
+
+#: κ begins at least this much above κ_min, as a share of it.
+_ABOVE = 0.02
+
+
+class Moving:
+    """θ, and the weights and the damping that it stands for; natural weights ŵ."""
+
+    def __init__(
+        self, lifting: Lifting, kappa_min: float, weights: Vector, xi_star: Vector, trained: Vector
+    ) -> None:
+        self.lifting, self.kappa_min = lifting, kappa_min
+        self.xi_star = xi_star
+        self.w0 = (weights - lifting.tau) / lifting.sigma
+        bases = lifting.bases.call([lifting.jets_at(weights, xi_star)])
+        units = lifting.form.split(lifting.sigma)
+        at, affine, kappa, centre, base = 0, [], [], [], []
+        for network, v, unit in zip(lifting.form.networks, bases, units, strict=True):
+            if not isinstance(network, Network):
+                raise TypeError("a neural Φ has no quadratic parts")
+            d = network.inputs if network.quadratic else 0
+            end, last = at + network.size - 2 * d, network.shapes[-1]
+            affine += list(range(end - last[0] * last[1] - last[0], end))
+            kappa += list(range(end, end + d))
+            centre += list(range(end + d, end + 2 * d))
+            base += list(np.asarray(v, float).ravel()[:d] / unit[network.size - d :][:d])
+            at += network.size
+        self.affine, self.kappa, self.centre = (
+            np.array(v, dtype=int) for v in (affine, kappa, centre)
+        )
+        self.base = np.array(base, float)
+        self.eta, damping = damping_variables(trained)
+        self._damping = ca.Function("damping", [self.eta], [damping])
+        self.size = len(affine) + 2 * len(kappa) + self.eta.numel()
+
+    def first(self, eta: Vector) -> Vector:
+        """θ of the weights and damping at the start, (size,)."""
+        k, o = self.w0[self.kappa], self.w0[self.centre]
+        above = np.log(np.fmax(k - self.kappa_min, _ABOVE * self.kappa_min))
+        return np.concatenate([self.w0[self.affine], above, k * (o - self.base), eta])
+
+    def split(self, theta: ca.MX) -> tuple[ca.MX, ca.MX, ca.MX, ca.MX]:
+        """(output layers, log(κ − κ_min), β, η)."""
+        a, k = len(self.affine), len(self.kappa)
+        return theta[:a], theta[a : a + k], theta[a + k : a + 2 * k], theta[a + 2 * k :]
+
+    def weights_at(self, theta: Vector) -> Vector:
+        """The same as numbers."""
+        symbol = ca.MX.sym("theta", self.size)
+        found = ca.Function("weights", [symbol], [self.weights(symbol)])(theta)
+        return np.asarray(found, float).ravel()
+
+    @property
+    def eta_at(self) -> slice:
+        """Where η stands in θ."""
+        return slice(self.size - self.eta.numel(), self.size)
+
+    def weights(self, theta: ca.MX) -> ca.MX:
+        """All weights, (form.size,), in training units."""
+        outer, above, beta, _ = self.split(theta)
+        kappa = self.kappa_min + ca.exp(above)
+        w = ca.MX(ca.DM(self.w0))
+        w[self.affine.tolist()] = outer
+        w[self.kappa.tolist()] = kappa
+        w[self.centre.tolist()] = ca.DM(self.base) + beta / kappa
+        return ca.DM(self.lifting.sigma) * w + ca.DM(self.lifting.tau)
+
+    def damping_of(self, theta: ca.MX) -> ca.MX:
+        """𝒟, 2m × 2m."""
+        found: ca.MX = self._damping(self.split(theta)[-1])
+        return found
+
+    def shape(self, theta: ca.MX) -> tuple[ca.MX, ca.MX]:
+        """∇V and ∇²V at z*."""
+        lifting, terms = self.lifting, self.lifting.terms
+        z, w, form = ca.MX.sym("z", terms.n + terms.nc), self.weights(theta), lifting.form
+        V = value(terms, z, form.controller_energy(w), form.casimir(w), form.outer(w))
+        N, g = ca.hessian(V, z)
+        at = ca.MX(ca.DM(np.concatenate([lifting.x_star, self.xi_star])))
+        gradient, hessian = ca.substitute([g, N], [z], [at])
+        return gradient, hessian
+
+
+@dataclass(frozen=True, eq=False)
+class Sums:
+    """Costs of N responses, and Gauss and Newton's sums over their residuals r."""
+
+    costs: Vector  # (N,)
+    gradient: Vector  # (p,) of the weighted mean of the costs
+    curvature: Vector  # (p, p)
+
+
+class Rollouts:
+    """Responses from plant states (N, n), on a fixed grid; first over one step of no length."""
+
+    def __init__(self, moving: Moving, plant: PlantModel, starts: Vector) -> None:
+        self.moving, self.plant, self.starts = moving, plant, starts
+        self.step, self.steps = 0.0, 1
+        self.n, self.nc = plant.n, moving.lifting.terms.nc
+        self.input_root = np.linalg.cholesky(plant.cost.R).T
+        self.state_root = _root(plant.cost.Q)
+        #: what follows the horizon costs about what LQR pays for it
+        self.end_root = np.zeros((0, self.n)) if plant.linear is None else _root(plant.linear.P)
+        self._one_plain, self._one = self._stages()
+        self._maps()
+
+    def _maps(self) -> None:
+        self.stage, self.plain = (f.map(len(self.starts)) for f in (self._one, self._one_plain))
+
+    def over(self, horizon: float, steps: int) -> Rollouts:
+        """The same over a horizon."""
+        result = copy(self)
+        result.step, result.steps = horizon / steps, steps
+        return result
+
+    def of(self, starts: Vector) -> Rollouts:
+        """The same from other starts."""
+        result = copy(self)
+        result.starts = starts
+        result._maps()
+        return result
+
+    def _stages(self) -> tuple[ca.Function, ca.Function]:
+        """(z, θ) -> ż and u, clipped; and the same with their slopes in z and θ."""
+        moving, plant = self.moving, self.plant
+        terms, form = moving.lifting.terms, moving.lifting.form
+        x, xi = ca.MX.sym("x", self.n), ca.MX.sym("xi", self.nc)
+        theta = ca.MX.sym("theta", moving.size)
+        weights, damping = moving.weights(theta), moving.damping_of(theta)
+        asked, xi_dot = control_law(terms, form, weights, damping, x, xi)
+        u = ca.fmin(ca.fmax(asked, ca.DM(plant.u_low)), ca.DM(plant.u_high))
+        found = ca.vertcat(plant_dynamics(terms)(x, u), xi_dot, u)
+        split = ca.Function("split", [x, xi, theta], [ca.densify(found)])
+        z = ca.MX.sym("z", self.n + self.nc)
+        field = ca.Function("field", [z, theta], [split(z[: self.n], z[self.n :], theta)])
+        if form.size > _SCALAR_WEIGHTS:
+            return field, _with_slopes(field, [z, theta])
+        scalars = [ca.SX.sym(s.name(), s.numel()) for s in (z, theta)]
+        return field.expand(), _with_slopes(field.expand(), scalars)
+
+    def slope(self, theta: Vector) -> Vector:
+        """∂ż/∂z at z*, (n + nc, n + nc)."""
+        z_star = np.concatenate([self.plant.x_star, self.moving.xi_star])
+        by_z = np.asarray(self._one.call([z_star, theta])[1], float)
+        return by_z[: self.n + self.nc]
+
+    def _first(self) -> Vector:
+        xi = np.repeat(self.moving.xi_star[None], len(self.starts), axis=0)
+        return np.concatenate([self.starts, xi], axis=1)
+
+    def costs(self, theta: Vector) -> Vector:
+        """What the responses cost, (N,); nan where the method leaves floating point."""
+        z, h, total = self._first(), self.step, 0.0
+        size = self.n + self.nc
+        parameters = np.repeat(theta[:, None], len(z), axis=1)
+
+        def field(z: Vector) -> Vector:
+            return np.asarray(self.plain(z.T, parameters), float).T
+
+        with interruptible(), np.errstate(all="ignore"):
+            for index in range(self.steps + 1):
+                k1 = field(z)
+                total = total + self._share(index) * (self._residuals(z, k1[:, size:]) ** 2).sum(1)
+                if index < self.steps:
+                    k2 = field(z + h / 2 * k1[:, :size])
+                    k3 = field(z + h / 2 * k2[:, :size])
+                    k4 = field(z + h * k3[:, :size])
+                    z = z + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)[:, :size]
+            total = total + (self._left(z) ** 2).sum(1)
+        return np.asarray(total, float)
+
+    def sums(self, theta: Vector, weights: Vector) -> Sums:
+        """The same with the derivatives of Σ weights · costs."""
+        z, h, size = self._first(), self.step, self.n + self.nc
+        count, p = len(z), theta.size
+        S, total = np.zeros((count, size, p)), np.zeros(count)
+        gradient, curvature = np.zeros(p), np.zeros((p, p))
+        parameters = np.repeat(theta[:, None], count, axis=1)
+        root = np.sqrt(weights)[:, None, None]
+
+        def field(z: Vector, S: Vector) -> tuple[Vector, Vector]:
+            value, by_z, by_theta = (
+                np.asarray(v, float) for v in self.stage.call([z.T, parameters])
+            )
+            rows = value.shape[0]
+            A = by_z.reshape(rows, count, size).transpose(1, 0, 2)
+            B = by_theta.reshape(rows, count, p).transpose(1, 0, 2)
+            return value.T, A @ S + B
+
+        with interruptible(), np.errstate(all="ignore"):
+            for index in range(self.steps + 1):
+                k1, K1 = field(z, S)
+                share = self._share(index)
+                r = self._residuals(z, k1[:, size:])
+                slopes = np.concatenate(
+                    [self.state_root @ S[:, : self.n], self.input_root @ K1[:, size:]], axis=1
+                )
+                total += share * (r**2).sum(1)
+                rows = (root * slopes).reshape(-1, p)
+                gradient += 2 * share * rows.T @ (root[:, :, 0] * r).ravel()
+                curvature += 2 * share * rows.T @ rows
+                if index < self.steps:
+                    k2, K2 = field(z + h / 2 * k1[:, :size], S + h / 2 * K1[:, :size])
+                    k3, K3 = field(z + h / 2 * k2[:, :size], S + h / 2 * K2[:, :size])
+                    k4, K4 = field(z + h * k3[:, :size], S + h * K3[:, :size])
+                    z = z + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)[:, :size]
+                    S = S + h / 6 * (K1 + 2 * K2 + 2 * K3 + K4)[:, :size]
+            rows, left = (root * (self.end_root @ S[:, : self.n])).reshape(-1, p), self._left(z)
+            gradient += 2 * rows.T @ (root[:, :, 0] * left).ravel()
+            curvature += 2 * rows.T @ rows
+        return Sums(total + (left**2).sum(1), gradient, curvature)
+
+    def _share(self, index: int) -> float:
+        return self.step * (0.5 if index in (0, self.steps) else 1.0)
+
+    def _left(self, z: Vector) -> Vector:
+        """Residuals of what follows the end."""
+        return (z[:, : self.n] - self.plant.x_star) @ self.end_root.T
+
+    def _residuals(self, z: Vector, u: Vector) -> Vector:
+        away = (z[:, : self.n] - self.plant.x_star) @ self.state_root.T
+        return np.concatenate([away, (u - self.plant.u_star) @ self.input_root.T], axis=1)
+
+
+def _with_slopes(field: ca.Function, symbols: list[_Symbols]) -> ca.Function:
+    """(z, θ) -> the field, and its slopes in z and in θ."""
+    value = field(*symbols)
+    by_z, by_theta = (ca.densify(ca.jacobian(value, v)) for v in symbols)
+    return ca.Function("stage", symbols, [value, by_z, by_theta])
+
+
+def _root(matrix: Vector) -> Vector:
+    """W with WᵀW the matrix ⪰ 0, whatever the units of its rows."""
+    scale = np.sqrt(np.diag(matrix))
+    scale[scale == 0] = 1.0
+    values, vectors = np.linalg.eigh(matrix / np.outer(scale, scale))
+    return np.asarray(np.sqrt(np.fmax(values, 0.0))[:, None] * vectors.T * scale, float)
