@@ -98,10 +98,10 @@ def claims_less(path, old, new) -> bool:
 def is_a_hint(path) -> bool:
     """Numbers from which the checker finds a proof: another proof is as good.
 
-    z̄ is claimed to lie within `enclosure` of `z_bar`, and ‖∇V(z*)‖ below `gradient_norm`, which is
-    proved of them as they stand.
+    z̄ is claimed to lie within `enclosure` of `z_bar`, ‖∇V(z*)‖ below `gradient_norm` and Ω within
+    `reach`, which is proved of them as they stand.
     """
-    return path[0] in ("z_bar", "enclosure", "region") or path[-1] == "gradient_norm"
+    return path[0] in ("z_bar", "enclosure", "region", "reach") or path[-1] == "gradient_norm"
 
 
 def mutation_is_found(folder, stored, index, drawn):
