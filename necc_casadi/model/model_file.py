@@ -6,6 +6,7 @@ A model file is Python and runs as the user's own code. Only ``x, J, R, G, H`` a
 from __future__ import annotations
 
 import contextlib
+import math
 import sys
 import traceback
 from collections.abc import Mapping, Sequence
@@ -343,11 +344,11 @@ def _limits(file: _Reader) -> list[tuple[float, float]] | None:
             lo, hi = (float(file.read(bound)) for bound in pair)
         except (TypeError, ValueError):
             lo, hi = 1.0, 0.0
-        if not lo < hi:
+        if not (lo < hi and math.isfinite(hi - lo)):
             raise ModelError(
                 "limits",
                 f"u_limits[{index}] = {pair} is not a pair (lo, hi) with lo < hi",
-                "Give one pair of numbers per input.",
+                "Give one pair of numbers per input, large where there is no limit.",
             )
         result.append((lo, hi))
     return result

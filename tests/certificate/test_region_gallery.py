@@ -37,6 +37,7 @@ REGIONS = {
     "damped": ("damped_pendulum", None, None, "critical_point", 0.99, 1),
     "paper": ("pendulum", "pi/4", paper_options(1), "critical_point", 0.95, 2),
     "deep": ("pendulum", "pi/4", DEEP, "critical_point", 0.95, 1),
+    "neural": ("pendulum", "pi/4", Options(phi="neural"), "critical_point", 0.95, 2),
     "motor": ("dc_motor", None, None, "critical_point", 0.99, 1),
     "cart": ("cart_pole", None, None, "critical_point", 0.99, 1),
     "maglev": ("maglev", None, None, "critical_point", 0.99, 1),

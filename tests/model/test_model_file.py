@@ -173,3 +173,13 @@ def test_weights_of_the_cost(tmp_path):
         with pytest.raises(ModelError, match=line.split()[0]) as caught:
             load_model(path)
         assert caught.value.code == "model_file"
+
+
+@pytest.mark.parametrize("pair", ["(1, -1)", "(-1, sp.oo)", "(1,)", "('a', 2)"])
+def test_limits_are_pairs_of_finite_numbers(tmp_path, pair):
+    path = tmp_path / "plant.py"
+    own = PENDULUM.read_text(encoding="utf-8")
+    path.write_text(f"{own}\nu_limits = [{pair}]\n", encoding="utf-8")
+    with pytest.raises(ModelError) as refusal:
+        load_model(path)
+    assert refusal.value.code == "limits"

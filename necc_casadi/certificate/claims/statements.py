@@ -209,8 +209,8 @@ def clipping(limits: Sequence[Sequence[float]], height: float, whole: bool) -> s
     """Of the height above V(z̄) up to which clipped inputs change nothing of what is said."""
     where = "Ω" if whole else f"{{V − V(z̄) ≤ {_down(height, 6)}}} in Ω"
     return (
-        f"with every input clipped to {ranges(limits)} all that is said of solutions holds on "
-        f"{where}: without its damping u stays strictly within them there"
+        f"with the damping of this design and every input clipped to {ranges(limits)} all that is "
+        f"said of solutions holds on {where}: without damping u stays strictly within them there"
     )
 
 

@@ -20,7 +20,7 @@ __all__ = ["CellsProof"]
 
 #: How often a cell or a face may be halved before a test on it counts as failed, and before its
 #: fibre counts as not bounded.
-_DEPTH, _FIBRES = 7, 3
+_DEPTH, _FIBRES = 9, 3
 
 
 class CellsProof:
