@@ -21,7 +21,7 @@ _SOUND = "z̄ is an equilibrium of a loop along which V decreases"
 
 def check_attraction(evidence: Evidence, sound: bool) -> Checked:
     """The linearisation plus the claimed rate is Hurwitz: AᵀP + PA ≺ 0, P ≻ 0 (Lyapunov)."""
-    rate, time = float(evidence.claims["attraction"].data["rate"]), evidence.model.units.time
+    rate, time = evidence.number("attraction", "rate"), evidence.model.units.time
 
     def hurwitz() -> bool:
         A = _linearisation(evidence, evidence.z_bar(range(len(evidence.model.z))))

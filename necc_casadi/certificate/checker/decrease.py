@@ -64,7 +64,7 @@ def _is_dissipative(R: sp.Matrix) -> bool:
 def _slope(evidence: Evidence) -> Checked:
     """Φ₁ > 0: the sum has 1, the neural form δ."""
     model = evidence.model
-    claimed = float(evidence.claims["slope"].data["slope"])
+    claimed = evidence.number("slope", "slope")
     neural = model.form["phi"] is not None
     return Checked.by(
         "slope",

@@ -35,7 +35,7 @@ def check_equilibrium(evidence: Evidence) -> Checked:
     with ctx.workprec(_BITS):
         target = model.target_balls()
         g = norm(evidence.full.gradient_at(target))
-    claimed = float(evidence.claims["equilibrium"].data["gradient_norm"])
+    claimed = evidence.number("equilibrium", "gradient_norm")
     cube = tuple(ends(t + ball(-radius, radius)) for t in target)
     near = norm([t - v for t, v in zip(target, evidence.minimum, strict=True)])
     natural = bound / model.units.largest

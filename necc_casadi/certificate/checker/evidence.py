@@ -57,6 +57,19 @@ class Evidence:
         """Whether a claim is listed and held."""
         return name in self.claims and self.claims[name].holds
 
+    def number(self, name: str, key: str) -> float:
+        """A number that a claim names.
+
+        Raises
+        ------
+        KeyError, ValueError
+            When it names none; a truth value is none.
+        """
+        value = self.claims[name].data[key]
+        if isinstance(value, bool) or not isinstance(value, (int, float)):
+            raise ValueError(f"{name}: {key} is no number")
+        return float(value)
+
     def reduced(self, active: Sequence[int]) -> Energy:
         """V in some of the states, the others at rest; one object, which keeps its results."""
         key = tuple(active)

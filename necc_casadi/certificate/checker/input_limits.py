@@ -132,7 +132,7 @@ def _check(
         given = level is not None and limits is not None and proof is not None
         missing = "what it rests on" if given else "limits, a level or a region in the files"
         return Checked(name, False, f"no input limits are proved, for want of {missing}")
-    height = float(evidence.claims[name].data["level_above_minimum"])
+    height = evidence.number(name, "level_above_minimum")
     natural, bottom = level / unit, proof.bottom
     inputs = InputProof(evidence.model, proof.energy, natural, damping)
     return Checked.by(

@@ -100,6 +100,7 @@ def _near_inverse(A: arb_mat) -> tuple[arb_mat, arb_mat, arb] | None:
     return (C, E, excess) if excess < 1 else None
 
 
+@np.errstate(all="ignore")  # a guess that overflows is none
 def lyapunov_matrix(A: np.ndarray[Any, Any]) -> np.ndarray[Any, Any] | None:
     """A guess of P with AᵀP + PA = −I; what it is worth is decided afterwards.
 
@@ -124,7 +125,7 @@ def lyapunov_matrix(A: np.ndarray[Any, Any]) -> np.ndarray[Any, Any] | None:
         if not np.isfinite(Q).all() or np.abs(S + identity).max() < 1e-13 * len(A):
             break
     symmetric: np.ndarray[Any, Any] = (Q + Q.T) / 4
-    return symmetric
+    return symmetric if np.isfinite(symmetric).all() else None
 
 
 def exactly_positive(A: list[list[float]]) -> bool:
