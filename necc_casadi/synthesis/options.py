@@ -181,10 +181,7 @@ def _check_response(options: Options) -> None:
     if not asked:
         return
     for clash, name in (
-        (not options.quadratic, "--paper"),
-        (options.phi != "sum", "--phi neural"),
-        (options.casimir_form == "sum", "--casimir-form sum"),
-        (options.learn_casimir, "--learn-casimir"),
+        *_other_forms(options),
         (options.shaping is not None, "--shape"),
         (options.D is not None or options.Dc is not None, "a given damping"),
     ):
@@ -197,15 +194,22 @@ def _check_response(options: Options) -> None:
             )
 
 
+def _other_forms(options: Options) -> tuple[tuple[bool, str], ...]:
+    """What asks for another V than Φ = H + Hc + K(c₁, …, c_r) with quadratic parts."""
+    return (
+        (not options.quadratic, "--paper"),
+        (options.phi != "sum", "--phi neural"),
+        (options.casimir_form == "sum", "--casimir-form sum"),
+        (options.learn_casimir, "--learn-casimir"),
+    )
+
+
 def _check_polish(options: Options) -> None:
     """Responses are improved for Φ = H + Hc + K(c₁, …, c_r), and for their cost alone."""
     if not options.polish:
         return
     for clash, name in (
-        (not options.quadratic, "--paper"),
-        (options.phi != "sum", "--phi neural"),
-        (options.casimir_form == "sum", "--casimir-form sum"),
-        (options.learn_casimir, "--learn-casimir"),
+        *_other_forms(options),
         (options.rate is not None, "a rate"),
         (options.peak_u is not None, "a peak of u"),
     ):
