@@ -21,6 +21,7 @@ ORDER = (
     ("model",),
     ("casimirs",),
     ("verdict", "lyapunov"),
+    ("methods",),
     ("designs",),
     ("simulation", "certificate"),
     ("export", "performance"),
@@ -33,7 +34,7 @@ ORDER = (
 #: The same within certificate/: the prover and the checker know the claims, never each other.
 CERTIFICATE_ORDER = (("claims",), ("prover", "checker"))
 #: sympy up to here, CasADi from the next line on; these alone know both.
-SYMBOLIC = {"symbolic", "model", "casimirs", "verdict"}
+SYMBOLIC = {"symbolic", "model", "casimirs", "verdict", "methods"}
 BOTH = {"lyapunov/sympy2casadi", "synthesis/sample_box"}
 
 FILES = {

@@ -99,12 +99,21 @@ class Design(Parts):
         return self.lyapunov.control_law(x, xi)
 
     def xi_at_start(self, x0: npt.ArrayLike) -> Vector:
-        """ξ(0) of this design for a measured plant state (n,), (nc,); ``necc_start`` in C."""
+        """ξ(0) of this design for a measured plant state (n,), (nc,); ``necc_start`` in C.
+
+        With "target" the controller keeps at first what it keeps at z*: ξ*, or ξ* + γ(x0) − γ(x*).
+        """
+        x0 = np.asarray(x0, float)
         if self.initial_xi == "target":
-            return self.xi_star
+            return self.stored_star + self.lyapunov.gamma(x0)
         natural, n = self.natural, self.loop.plant.n
-        x = np.asarray(x0, float) / self.units.state[:n]
+        x = x0 / self.units.state[:n]
         return least_over_xi(natural.lyapunov, natural, x)[0] * self.units.state[n:]
+
+    @cached_property
+    def stored_star(self) -> Vector:
+        """What the controller keeps at z*: ξ* − γ(x*), (nc,); ``necc_init`` in C."""
+        return self.lyapunov.stored(self.z_star[: self.loop.plant.n], self.xi_star)
 
     def V(self, z: npt.ArrayLike) -> float:
         """The Lyapunov function at z = (x, ξ), (n + nc,)."""
@@ -152,6 +161,12 @@ class Design(Parts):
                 break
         return z
 
+    @property
+    def stored_z_bar(self) -> Vector:
+        """(x̄, s̄), (n + nc,): the equilibrium in what the plant has and the controller keeps."""
+        x, xi = np.split(self.z_bar, [self.loop.plant.n])
+        return np.concatenate([x, self.lyapunov.stored(x, xi)])
+
     @cached_property
     def spectrum(self) -> npt.NDArray[np.complex128]:
         """Eigenvalues of the linearisation at z̄, (n + nc,), 1/s."""
@@ -163,9 +178,10 @@ class Design(Parts):
         """State-space matrices (A, B, C, D) of the damped loop at z̄, ready for python-control.
 
         The loop is closed: it is looked at through the ports of damping injection. Inputs are
-        (v, v_c) on top of the damping, outputs are (y, y_c) with y = Gᵀ∇H, y_c = Gcᵀ∇Hc:
-        A (n + nc)², B (n + nc) × 2m, C 2m × (n + nc), D = 0. Margins of the controller are those
-        of :meth:`loop_transfer`, which opens the loop at the plant's input.
+        (v, v_c) on top of the damping, outputs are (y, y_c) = 𝒢ᵀ∇(H + Hc), which in the published
+        loop are y = Gᵀ∇H and y_c = Gcᵀ∇Hc: A (n + nc)², B (n + nc) × 2m, C 2m × (n + nc), D = 0.
+        Margins of the controller are those of :meth:`loop_transfer`, which opens the loop at the
+        plant's input.
         """
         z = self.z_bar
         values = dict(zip(self.loop.z, z, strict=True))
@@ -182,8 +198,8 @@ class Design(Parts):
 
         An input w of the plant makes the controller give u = −L(s) w, so that the loop is closed
         by negative feedback, as python-control has it: ``control.StateSpace(*loop_transfer())``.
-        States are (x, ξ): A (n + nc)², B (n + nc) × m, C m × (n + nc), D = 0; A − BC is the
-        closed loop.
+        States are (x, s) with s = ξ − γ(x), ξ itself in the published loop: A (n + nc)²,
+        B (n + nc) × m, C m × (n + nc), D = 0; A − BC is the closed loop.
         """
         S, U, T = self.units.state, self.units.input, self.units.time
         natural = self.natural
@@ -199,13 +215,11 @@ class Design(Parts):
     def _port_jacobian(self, z: Vector) -> Vector:
         import casadi as ca
 
-        V, terms = self.lyapunov, self.lyapunov.terms
+        terms = self.lyapunov.terms
         s = ca.MX.sym("z", z.size)
-        x, xi = s[: terms.n], s[terms.n :]
-        s_c = ca.MX.sym("xi", terms.nc)
-        energy = self.form.controller_energy(ca.DM(self.weights))(s_c)
-        grad_Hc = ca.Function("grad_Hc", [s_c], [ca.gradient(energy, s_c)])
-        y = ca.vertcat(V.terms.G(x).T @ terms.grad_H(x), terms.Gc(xi).T @ grad_Hc(xi))
+        energy = self.form.controller_energy(ca.DM(self.weights))(s[terms.n :])
+        slope = ca.gradient(terms.H(s[: terms.n]) + energy, s)
+        y = terms.ports(s).T @ slope
         return np.asarray(ca.Function("C", [s], [ca.jacobian(y, s)])(z), float)
 
     @cached_property

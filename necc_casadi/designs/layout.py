@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict
 from functools import cache
 from typing import Any, get_args
@@ -24,6 +24,7 @@ from necc_casadi.model.closed_loop import ClosedLoop
 from necc_casadi.model.controller import Controller
 from necc_casadi.model.entries import Property
 from necc_casadi.model.plant import Plant
+from necc_casadi.model.shaped_loop import ShapedLoop, shaped_loop
 from necc_casadi.model.sizes import Sizes
 from necc_casadi.symbolic.expressions import parse, to_text
 from necc_casadi.symbolic.floats import to_floats
@@ -84,7 +85,7 @@ def to_dict(design: Parts) -> dict[str, Any]:
         "controller_states": list(controller.states),
         "symbols": symbols,
         **{key: text(getattr(plant, key)) for key in ("J", "R", "G", "H")},
-        **{key: text(getattr(controller, key)) for key in ("Jc", "Rc", "Gc")},
+        **_controller_text(design.loop, text),
         "units": dict(plant.units),
         "domain": {name: text(bounds) for name, bounds in plant.domain.items()},
         "u_limits": plant.u_limits,
@@ -122,7 +123,7 @@ def to_dict(design: Parts) -> dict[str, Any]:
         **({} if design.initial_xi == "target" else {"initial_xi": design.initial_xi}),
         "D": _hex(design.D),
         "Dc": _hex(design.Dc),
-        **_coupling_text(design.damping),
+        **_coupling_text(design.damping, design.loop.plant.m),
         "sizes": {**_sizes_text(design.sizes), "guessed": list(design.sizes.guessed)},
         "units": _sizes_text(design.units),
         "curvature": _hex(design.curvature),
@@ -133,20 +134,28 @@ def to_dict(design: Parts) -> dict[str, Any]:
     }
 
 
-def _coupling_text(damping: Vector) -> dict[str, Any]:
+def _controller_text(loop: ClosedLoop, text: Callable[[Any], Any]) -> dict[str, Any]:
+    """Jc, Rc and Gc of the published loop, or γ and α of power shaping."""
+    if isinstance(loop, ShapedLoop):
+        return {"gamma": text(loop.shaping), "alpha": text(loop.alpha)}
+    return {key: text(getattr(loop.controller, key)) for key in ("Jc", "Rc", "Gc")}
+
+
+def _coupling_text(damping: Vector, m: int) -> dict[str, Any]:
     """The off-diagonal blocks of 𝒟, upper right and lower left, where they are not zero."""
-    m = len(damping) // 2
     blocks = (damping[:m, m:], damping[m:, :m])
     return {"coupling": [_hex(block) for block in blocks]} if np.any(blocks) else {}
 
 
 def _damping(data: Mapping[str, Any]) -> Vector:
-    """𝒟, (2m, 2m); a file without a coupling holds diag(D, Dc)."""
+    """𝒟, (m + channels)²; a file without a coupling holds diag(D, Dc)."""
     D, Dc = _unhex(data["D"]), _unhex(data["Dc"])
-    m = len(D)
-    upper, lower = map(_unhex, data["coupling"]) if "coupling" in data else np.zeros((2, m, m))
-    if any(block.shape != (m, m) for block in (D, Dc, upper, lower)):
-        raise ValueError("the blocks of the damping must be m × m")
+    m, k = len(D), len(Dc)
+    rest = [np.zeros((m, k)), np.zeros((k, m))]
+    upper, lower = map(_unhex, data["coupling"]) if "coupling" in data else rest
+    shapes = [block.shape for block in (D, upper, lower, Dc)]
+    if shapes != [(m, m), (m, k), (k, m), (k, k)]:
+        raise ValueError("the blocks of the damping do not fit each other")
     return np.block([[D, upper], [lower, Dc]])
 
 
@@ -176,7 +185,7 @@ def check_whole(design: Parts, data: Mapping[str, Any]) -> None:
     shapes = {
         "weights": (design.weights, (form.size,)),
         "xi_star": (design.xi_star, (nc,)),
-        "damping": (design.damping, (2 * m, 2 * m)),
+        "damping": (design.damping, (m + design.loop.channels,) * 2),
         "target": (to_floats(design.x_star), (n,)),
         "curvature": (design.curvature, (n + nc,)),
     }
@@ -256,16 +265,21 @@ def from_dict(data: Mapping[str, Any]) -> Parts:
         sizes={name: read(size) for name, size in model.get("sizes", {}).items()},
         properties=properties[:split],
     )
-    controller = Controller(
-        xi=z[n:],
-        Jc=matrix(model["Jc"]),
-        Rc=matrix(model["Rc"]),
-        Gc=matrix(model["Gc"]),
-        properties=properties[split:],
-    )
+    if "gamma" in model:
+        gamma = read(model["gamma"])
+        loop: ClosedLoop = shaped_loop(plant, gamma, matrix(model["alpha"]), z[n:])
+    else:
+        controller = Controller(
+            xi=z[n:],
+            Jc=matrix(model["Jc"]),
+            Rc=matrix(model["Rc"]),
+            Gc=matrix(model["Gc"]),
+            properties=properties[split:],
+        )
+        loop = ClosedLoop(plant, controller)
     verdict = data["verdict"]
     return Parts(
-        loop=ClosedLoop(plant, controller),
+        loop=loop,
         casimirs=Casimirs(
             functions=read(data["casimirs"]["functions"]),
             kernel_rank=data["casimirs"]["kernel_rank"],

@@ -21,6 +21,7 @@ from necc_casadi.designs.parts import Parts
 from necc_casadi.lyapunov.parameterization import Form
 from necc_casadi.model.closed_loop import ClosedLoop
 from necc_casadi.model.rescale import exactly, rescaled_functions, rescaled_loop
+from necc_casadi.model.shaped_loop import ShapedLoop
 from necc_casadi.model.sizes import Sizes
 from necc_casadi.verdict.verdict import Verdict
 
@@ -56,10 +57,16 @@ def weight_units(form: Form, units: Sizes) -> Vector:
     return np.concatenate(parts)
 
 
-def damping_units(units: Sizes) -> Vector:
-    """Units of 𝒟, which gives (v, v_c) in those of (u, y) for 𝒢ᵀ∇V in those of (y, u), (2m, 2m)."""
-    output = units.output
-    given, taken = np.concatenate([units.input, output]), np.concatenate([output, units.input])
+def damping_units(loop: ClosedLoop, units: Sizes) -> Vector:
+    """Units of 𝒟, which gives (v, v_c) for 𝒢ᵀ∇V, (m + channels)².
+
+    In the published loop these are in the units of (u, y) and of (y, u); in one of power shaping
+    v_c is a rate of ξ.
+    """
+    output, inner = units.output, units.state[loop.plant.n :]
+    rates = inner / units.time if isinstance(loop, ShapedLoop) else output
+    given = np.concatenate([units.input, rates])
+    taken = np.concatenate([output, units.energy / (units.time * rates)])
     return np.asarray(given[:, None] / taken, float)
 
 
@@ -113,7 +120,7 @@ def natural_parts(parts: Parts) -> Parts:
         verdict=natural_verdict(parts.verdict, units, plant.n),
         weights=parts.weights / weight_units(parts.form, units),
         xi_star=parts.xi_star / units.state[plant.n :],
-        damping=parts.damping / damping_units(units),
+        damping=parts.damping / damping_units(parts.loop, units),
         a=float(curvature.min()),
         a_requested=float(curvature.min()),
         sizes=parts.sizes.measured_in(units),

@@ -42,7 +42,7 @@ class Parts:
     form: Form
     weights: Vector  # (form.size,)
     xi_star: Vector  # (nc,)
-    damping: Vector  # 𝒟, 2m × 2m, symmetric part ≻ 0
+    damping: Vector  # 𝒟, (m + channels)², symmetric part ≻ 0
     a: float  # curvature asked of ∇²V(z*)
     a_requested: float
     seed: int
@@ -73,6 +73,6 @@ class Parts:
 
     @property
     def Dc(self) -> Vector:
-        """Damping of the controller's port: the second diagonal block of 𝒟, (m, m)."""
+        """Damping of the controller's port: the second diagonal block of 𝒟, (channels)²."""
         m = self.loop.plant.m
         return self.damping[m:, m:]

@@ -3,6 +3,8 @@
 With γᵢ = Φ₂ ∂C/∂cᵢ and Φ₁ from the networks,
 
     ∂V/∂x = Φ₁ ∇H + Σ γᵢ ∂cᵢ/∂x,   ∂V/∂ξ = Φ₁ ∇Hc + Σ γᵢ ∂cᵢ/∂ξ.
+
+The code keeps s, which is ξ itself in the published loop, and ξ − γ(x) in one of power shaping.
 """
 
 from __future__ import annotations
@@ -46,7 +48,7 @@ def controller(source: Source) -> str:
         integrator=fill(f"{source.integrator}.c"),
         saturation=saturation,
         saturate="saturate(u)" if saturation else "NECC_OK",
-        xi_star=real.literals(source.design.xi_star),
+        xi_star=real.literals(source.design.stored_star),
         init_at=_init_at(source),
         start=indent(_START[source.design.initial_xi]),
         margin=margin_code(source),
@@ -66,22 +68,25 @@ def _leaves(source: Source) -> list[str]:
     """Casimirs, H where Φ or the margin takes it, and the law given the networks' slopes."""
     design, real = source.design, source.number
     terms = design.lyapunov.terms
-    x, xi = ca.SX.sym("x", source.n), ca.SX.sym("xi", source.nc)
-    c = terms.c(ca.vertcat(x, xi))
+    x, s = ca.SX.sym("x", source.n), ca.SX.sym("xi", source.nc)
+    z, here = ca.SX.sym("z", source.n + source.nc), ca.vertcat(x, s + terms.gamma(x))
+    c = terms.c(z)
     grad_hc, gamma = ca.SX.sym("grad_hc", source.nc), ca.SX.sym("gamma", source.r)
     phi_1 = ca.SX.sym("phi_1") if source.neural_phi else ca.SX(1)
-    grad_H, G, Gc = terms.grad_H(x), terms.G(x), terms.Gc(xi)
-    V_x = phi_1 * grad_H + ca.jacobian(c, x).T @ gamma
-    V_xi = phi_1 * grad_hc + ca.jacobian(c, xi).T @ gamma
-    injected = -ca.DM(design.damping) @ ca.vertcat(G.T @ V_x, Gc.T @ V_xi)
-    u = -Gc.T @ grad_hc + injected[: source.m]
-    xi_dot = terms.Fc(xi) @ grad_hc + Gc @ (G.T @ grad_H + injected[source.m :])
+    energy_slope = ca.vertcat(terms.grad_H(z[: source.n]), grad_hc)
+    V_z = phi_1 * energy_slope + ca.jacobian(c, z).T @ gamma
+    injected = -ca.DM(design.damping) @ (terms.ports(z).T @ V_z)
+    u = injected[: source.m] - terms.feedback(z) @ grad_hc
+    s_dot = terms.own_structure(z) @ energy_slope + terms.own_ports(z) @ injected
+    c, V_xi, u, s_dot = ca.substitute([c, V_z[source.n :], u, s_dot], [z], [here])
     slopes = {"grad_hc": grad_hc, "gamma": gamma, "phi_1": phi_1}
-    arguments = [("x", x), ("xi", xi), *((name, slopes[name]) for name in _slopes(source))]
+    arguments = [("x", x), ("xi", s), *((name, slopes[name]) for name in _slopes(source))]
     leaves = [c_function("casimirs", arguments[:2], [("c", c)], real)]
+    if source.shaped:
+        leaves.append(c_function("shifted", arguments[:2], [("held", here[source.n :])], real))
     if source.neural_phi or has_margin(source):
         leaves.append(c_function("hamiltonian", arguments[:1], [("H", terms.H(x))], real))
-    leaves.append(c_function("control_law", arguments, [("u", u), ("xidot", xi_dot)], real))
+    leaves.append(c_function("control_law", arguments, [("u", u), ("xidot", s_dot)], real))
     leaves.append(c_function("energy_slope", arguments, [("gradient", V_xi)], real))
     return leaves
 
@@ -108,7 +113,11 @@ def _parts(source: Source) -> str:
 def _shape(source: Source) -> str:
     """Body of ``shape``: the networks at (x, ξ), put together by the chain rule."""
     variables, casimir = _casimir(source)
-    body = ["hc_value = hc_network(xi, s->grad_hc);", *casimir]
+    if source.shaped:
+        variables.append("necc_real held[NECC_NXI]; /* xi = gamma(x) + what is kept */")
+    shift = ["shifted(x, xi, held);"] if source.shaped else []
+    held = "held" if source.shaped else "xi"
+    body = [*shift, f"hc_value = hc_network({held}, s->grad_hc);", *casimir]
     if source.neural_phi:
         variables.append("necc_real H, point[2], slopes[2];")
         body += [

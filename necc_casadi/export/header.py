@@ -19,6 +19,21 @@ _METHODS = {
 }
 
 
+#: The control law, published and of power shaping.
+_LAWS = {
+    False: """\
+ *   (v, vc) = -damping (G' dV/dx, Gc' dV/dxi)
+ *   u  = -Gc' grad Hc + v
+ *   xi' = (Jc - Rc) grad Hc + Gc (y + vc),  y = G' grad H(x)""",
+    True: """\
+ *   (v, vc) = -damping (G' (dV/dx + dgamma dV/dxi), dV/dxi) at xi = gamma(x) + s
+ *   u  = -alpha(x) grad Hc(xi) + v
+ *   s' = vc
+ *
+ * What the code calls xi is s: the controller keeps how far xi is from gamma(x).""",
+}
+
+
 #: What ``necc_start`` does.
 _START = {
     "target": "as necc_init; returns NECC_OK",
@@ -36,6 +51,7 @@ def header(source: Source) -> str:
     text = fill(
         "necc.h",
         title=comment(plant.name),
+        law=_LAWS[source.shaped],
         target=comment(", ".join(f"{name} = {value:.6g}" for name, value in targets)),
         claims=_claims(source),
         design_hash=design.hash,

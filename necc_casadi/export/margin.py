@@ -76,12 +76,14 @@ def margin_code(source: Source) -> str:
     level, height = _level(source, certificate)
     kept = [region.active[i] for i in region.kept]
     table = _table(source, region) if kept else ""
+    shifts = source.shaped and any(i >= source.n for i in kept)
     return fill(
         "margin.c",
         level=real.literal(level),
         height=real.literal(height),
         table=table,
-        outside=" || !marked(x, xi)" if kept else "",
+        outside=f" || !marked(x, {'held' if shifts else 'xi'})" if kept else "",
+        held=["", "\n    necc_real held[NECC_NXI];\n    shifted(x, xi, held);"][shifts],
         H="" if source.neural_phi else "H[1], ",
         energy="" if source.neural_phi else "hamiltonian(x, H);",
         value="s.value" if source.neural_phi else "(s.value + H[0])",

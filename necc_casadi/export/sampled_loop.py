@@ -92,7 +92,7 @@ def _linear_parts(design: Design) -> tuple[Vector, ...]:
     plant = terms.F(x) @ terms.grad_H(x) + terms.G(x) @ u
     jacobians = [ca.jacobian(plant, x), terms.G(x)]
     jacobians += [ca.jacobian(f, s) for f in (law_u, law_f) for s in (x, xi)]
-    z = design.z_bar
+    z = design.stored_z_bar
     x_bar, xi_bar = z[: terms.n], z[terms.n :]
     u_bar = law.call([x_bar, xi_bar])[0]
     values = ca.Function("parts", [x, xi, u], jacobians).call([x_bar, xi_bar, u_bar])

@@ -17,6 +17,7 @@ from necc_casadi.errors import OptionError
 from necc_casadi.export.casadi2c import Real
 from necc_casadi.export.sampled_loop import ORDERS, largest_stable_time
 from necc_casadi.export.templating import PREFIX, prefixed
+from necc_casadi.model.shaped_loop import ShapedLoop
 
 __all__ = ["Source"]
 
@@ -107,6 +108,11 @@ class Source:
     def r(self) -> int:
         """Number of Casimirs."""
         return len(self.design.casimirs.functions)
+
+    @property
+    def shaped(self) -> bool:
+        """Whether the code keeps ξ − γ(x) in place of ξ."""
+        return isinstance(self.design.loop, ShapedLoop)
 
     @property
     def neural_phi(self) -> bool:

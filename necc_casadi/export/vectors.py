@@ -28,7 +28,7 @@ _SATURATED = 1
 
 
 def reference_step(design: Design, integrator: Integrator) -> ca.Function:
-    """(x, ξ, dt) -> (u, ξ after dt): one sample with x held, before saturation."""
+    """(x, s, dt) -> (u, s after dt): one sample with x held, before saturation."""
     terms, law = design.lyapunov.terms, design.lyapunov.control_law_function
     x, xi, dt = ca.MX.sym("x", terms.n), ca.MX.sym("xi", terms.nc), ca.MX.sym("dt")
     u, k1 = law.call([x, xi])
@@ -44,33 +44,35 @@ def reference_step(design: Design, integrator: Integrator) -> ca.Function:
 
 
 def rounding_scales(design: Design) -> ca.Function:
-    """(x, ξ, dt) -> what rounding in u, ξ̇ and ξ after dt is relative to, each one of its size.
+    """(x, s, dt) -> what rounding in u, ṡ and s after dt is relative to, each one of its size.
 
     The natural size, which the networks' own terms have, and the magnitudes of the terms that
     Lemma 1 adds up: u may be the small difference of large ones.
     """
     V, terms, sizes = design.lyapunov, design.lyapunov.terms, design.sizes
     w, form = ca.DM(design.weights), design.form
-    x, xi, dt = ca.MX.sym("x", terms.n), ca.MX.sym("xi", terms.nc), ca.MX.sym("dt")
-    z, c, e = ca.vertcat(x, xi), ca.MX.sym("c", terms.r), ca.MX.sym("e")
+    x, s, dt = ca.MX.sym("x", terms.n), ca.MX.sym("s", terms.nc), ca.MX.sym("dt")
+    z = ca.MX.sym("z", terms.n + terms.nc)
+    xi, c, e = z[terms.n :], ca.MX.sym("c", terms.r), ca.MX.sym("e")
     C = form.casimir(w)(c)
     k = ca.MX.sym("k")
     outer = ca.Function("outer", [e, k], [ca.gradient(form.outer(w)(e, k), k)])
     gamma = ca.Function("gamma", [e, c], [outer(e, C) * ca.gradient(C, c)])
-    grad_Hc = ca.gradient(form.controller_energy(w)(xi), xi)
-    energy = terms.H(x) + form.controller_energy(w)(xi)
+    grad_Hc = ca.gradient(form.controller_energy(w)(xi), z)[terms.n :]
+    energy = terms.H(z[: terms.n]) + form.controller_energy(w)(xi)
     pull = ca.fabs(gamma(energy, terms.c(z)))
     slopes = ca.fabs(ca.jacobian(terms.c(z), z)).T @ pull
-    phi_1 = V.phi_slope_function(z)
-    G, Gc = ca.fabs(terms.G(x)), ca.fabs(terms.Gc(xi))
-    grad_H, grad_Hc = ca.fabs(terms.grad_H(x)), ca.fabs(grad_Hc)
-    V_x, V_xi = phi_1 * grad_H + slopes[: terms.n], phi_1 * grad_Hc + slopes[terms.n :]
-    injected = ca.DM(abs(design.damping)) @ ca.vertcat(G.T @ V_x, Gc.T @ V_xi)
-    v, v_c = injected[: terms.m], injected[terms.m :]
-    u = Gc.T @ grad_Hc + v + ca.DM(sizes.input)
+    slope = ca.fabs(ca.vertcat(terms.grad_H(z[: terms.n]), grad_Hc))
+    passive = ca.fabs(terms.ports(z)).T @ (V.phi_slope_function(z) * slope + slopes)
+    injected = ca.DM(abs(design.damping)) @ passive
+    u = ca.fabs(terms.feedback(z)) @ slope[terms.n :] + injected[: terms.m]
+    u = u + ca.DM(sizes.input)
     size = ca.DM(sizes.state[terms.n :])
-    rate = ca.fabs(terms.Fc(xi)) @ grad_Hc + Gc @ (G.T @ grad_H + v_c) + size / sizes.time
-    return ca.Function("scales", [x, xi, dt], [u, rate, size + ca.fabs(xi) + dt * rate])
+    moved = ca.fabs(terms.own_structure(z)) @ slope + ca.fabs(terms.own_ports(z)) @ injected
+    rate = moved + size / sizes.time
+    held = size + ca.fabs(xi) + ca.fabs(s) + dt * rate
+    u, rate, held = ca.substitute([u, rate, held], [z], [ca.vertcat(x, s + terms.gamma(x))])
+    return ca.Function("scales", [x, s, dt], [u, rate, held])
 
 
 def vector_table(source: Source) -> str:
@@ -79,17 +81,20 @@ def vector_table(source: Source) -> str:
     rng = np.random.default_rng(0)
     lo, hi = design.domain.lo, design.domain.hi
     step, scales = reference_step(design, source.integrator), rounding_scales(design)
+    law = design.lyapunov.control_law_function
     rows = []
     for index in range(_COUNT):
         inside = rng.uniform(0.75 * lo + 0.25 * hi, 0.25 * lo + 0.75 * hi)
-        z = real.rounded(inside if index > 0 else design.z_star)
+        z = inside if index > 0 else design.z_star
+        x = real.rounded(z[:n])
+        s = real.rounded(design.lyapunov.stored(z[:n], z[n:]))
         dt = float(real.rounded(np.array(source.step_time * (1 + index % 3) / 3)))
-        u, xi_dot = design.control(z[:n], z[n:])
-        after = np.asarray(step.call([z[:n], z[n:], dt])[1], float).ravel()
+        u, rate = (np.asarray(v, float).ravel() for v in law.call([x, s]))
+        after = np.asarray(step.call([x, s, dt])[1], float).ravel()
         limited, flags = _saturated(design, u)
-        allowed = [np.asarray(v, float).ravel() for v in scales.call([z[:n], z[n:], dt])]
-        outputs = [u, xi_dot, limited, after, *allowed]
-        rows.append(_row([z[:n], z[n:]], outputs, dt, flags, real))
+        allowed = [np.asarray(v, float).ravel() for v in scales.call([x, s, dt])]
+        outputs = [u, rate, limited, after, *allowed]
+        rows.append(_row([x, s], outputs, dt, flags, real))
     text = fill(
         "test_vectors.h",
         count=_COUNT,

@@ -1,4 +1,4 @@
-"""Damping injection (v, v_c) = −𝒟 𝒢ᵀ∇V: 𝒟 (2m × 2m) with a positive definite symmetric part.
+"""Damping injection (v, v_c) = −𝒟 𝒢ᵀ∇V: 𝒟 with a positive definite symmetric part.
 
 𝒟 = diag(D, Dc) is that of Lemma EnergyCasimirControl. A coupling between the two ports, its skew
 part included, changes neither V nor where V̇ vanishes: V̇ sees (𝒟 + 𝒟ᵀ)/2 alone.
@@ -14,9 +14,9 @@ __all__ = ["dissipates", "uncoupled"]
 
 
 def uncoupled(D: Vector, Dc: Vector) -> Vector:
-    """𝒟 = diag(D, Dc) of two m × m blocks, (2m, 2m)."""
-    m = len(D)
-    damping = np.zeros((2 * m, 2 * m))
+    """𝒟 = diag(D, Dc), square, one row for each entry of (v, v_c)."""
+    m, size = len(D), len(D) + len(Dc)
+    damping = np.zeros((size, size))
     damping[:m, :m], damping[m:, m:] = D, Dc
     return damping
 

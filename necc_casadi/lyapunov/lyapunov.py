@@ -2,9 +2,11 @@
 
 C = K(Σ βᵢ(cᵢ))  or  K(c₁, …, c_r)                         eq. casimir_parameterization
 (v, v_c) = −𝒟 𝒢ᵀ∇V                                        Lemma EnergyCasimirControl
-u  = −Gcᵀ∇Hc + v
-ξ̇  = (Jc − Rc)∇Hc + Gc (Gᵀ∇H + v_c)
+u  = −A∇Hc + v,  A = Gcᵀ or α
+ṡ  = M_s∇(H + Hc) + 𝒢_s(v, v_c),  ξ = s + γ(x)             closed_loop.py, shaped_loop.py
 ż  = (M/Φ₁ − 𝒢𝒟𝒢ᵀ)∇V,  M = Jcl − Rcl                      docs/theory.md#decrease
+
+In the published loop γ = 0 and s = ξ.
 
 References
 ----------
@@ -28,7 +30,7 @@ from necc_casadi.lyapunov.parameterization import Form
 from necc_casadi.lyapunov.sympy2casadi import casadi_function
 from necc_casadi.model.closed_loop import ClosedLoop
 
-__all__ = ["LyapunovFunction", "Terms", "control_law", "make_terms", "value"]
+__all__ = ["LyapunovFunction", "Terms", "control_law", "make_terms", "state_rate", "value"]
 
 
 _Symbols = TypeVar("_Symbols", ca.MX, ca.SX)
@@ -45,33 +47,43 @@ class Terms:
     n: int  # plant states
     nc: int  # controller states
     m: int  # inputs
+    channels: int  # entries of v_c
     r: int  # Casimirs
     H: ca.Function  # x -> 1
     grad_H: ca.Function  # x -> n
     F: ca.Function  # x -> n × n, J − R
     c: ca.Function  # z -> r
     G: ca.Function  # x -> n × m
-    Gc: ca.Function  # ξ -> nc × m
-    Fc: ca.Function  # ξ -> nc × nc, Jc − Rc
     M: ca.Function  # z -> (n + nc) × (n + nc), Jcl − Rcl
+    ports: ca.Function  # z -> (n + nc) × (m + channels), 𝒢
+    feedback: ca.Function  # z -> m × nc, A
+    gamma: ca.Function  # x -> nc, γ
+    slopes: ca.Function  # x -> n × nc, ∇γ
+    own_structure: ca.Function  # z -> nc × (n + nc), M_s
+    own_ports: ca.Function  # z -> nc × (m + channels), 𝒢_s
 
 
 def make_terms(loop: ClosedLoop, casimirs: Casimirs) -> Terms:
     """Translate a closed loop and its closed-form Casimirs for CasADi."""
-    plant, controller = loop.plant, loop.controller
+    plant = loop.plant
     return Terms(
         n=plant.n,
-        nc=controller.nc,
+        nc=loop.controller.nc,
         m=plant.m,
+        channels=loop.channels,
         r=len(casimirs.functions),
         H=casadi_function("H", plant.x, [plant.H]),
         grad_H=casadi_function("grad_H", plant.x, plant.grad_H),
         F=casadi_function("F", plant.x, plant.J - plant.R),
         c=casadi_function("c", loop.z, list(casimirs.functions)),
         G=casadi_function("G", plant.x, plant.G),
-        Gc=casadi_function("Gc", controller.xi, controller.Gc),
-        Fc=casadi_function("Fc", controller.xi, controller.Jc - controller.Rc),
         M=casadi_function("M", loop.z, loop.M),
+        ports=casadi_function("ports", loop.z, loop.ports),
+        feedback=casadi_function("feedback", loop.z, loop.feedback),
+        gamma=casadi_function("gamma", plant.x, list(loop.gamma)),
+        slopes=casadi_function("slopes", plant.x, loop.slopes),
+        own_structure=casadi_function("own_structure", loop.z, loop.own_structure),
+        own_ports=casadi_function("own_ports", loop.z, loop.own_ports),
     )
 
 
@@ -93,25 +105,27 @@ def control_law(
     weights: _Weights,
     damping: ca.DM | ca.MX,
     x: ca.MX,
-    xi: ca.MX,
+    s: ca.MX,
 ) -> tuple[ca.MX, ca.MX]:
-    """U (m,) and ξ̇ (nc,) at x (n,), ξ (nc,), for weights (form.size,) and 𝒟 (2m, 2m)."""
-    V = value(
-        terms,
-        ca.vertcat(x, xi),
-        form.controller_energy(weights),
-        form.casimir(weights),
-        form.outer(weights),
-    )
-    grad_H = terms.grad_H(x)
-    grad_Hc = ca.gradient(form.controller_energy(weights)(xi), xi)
-    G, Gc = terms.G(x), terms.Gc(xi)
-    passive = ca.vertcat(G.T @ ca.gradient(V, x), Gc.T @ ca.gradient(V, xi))
-    injected = -damping @ passive
-    v, v_c = injected[: terms.m], injected[terms.m :]
-    u = -Gc.T @ grad_Hc + v
-    xi_dot = terms.Fc(xi) @ grad_Hc + Gc @ (G.T @ grad_H + v_c)
-    return u, xi_dot
+    """U (m,) and ṡ (nc,) at x (n,), s = ξ − γ(x) (nc,).
+
+    For weights (form.size,) and 𝒟 (m + channels)².
+    """
+    z, energy = ca.MX.sym("z", terms.n + terms.nc), form.controller_energy(weights)
+    V = value(terms, z, energy, form.casimir(weights), form.outer(weights))
+    grad_Hc = ca.gradient(energy(z[terms.n :]), z)[terms.n :]
+    injected = -damping @ terms.ports(z).T @ ca.gradient(V, z)
+    u = injected[: terms.m] - terms.feedback(z) @ grad_Hc
+    slope = ca.vertcat(terms.grad_H(z[: terms.n]), grad_Hc)
+    s_dot = terms.own_structure(z) @ slope + terms.own_ports(z) @ injected
+    here = ca.vertcat(x, s + terms.gamma(x))
+    u, s_dot = ca.substitute([u, s_dot], [z], [here])
+    return u, s_dot
+
+
+def state_rate(terms: Terms, x: ca.MX, x_dot: ca.MX, s_dot: ca.MX) -> ca.MX:
+    """Ż from ẋ (n,) and ṡ (nc,): ξ̇ = ṡ + ∇γᵀẋ."""
+    return ca.vertcat(x_dot, s_dot + terms.slopes(x).T @ x_dot)
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,9 +171,19 @@ class LyapunovFunction:
     def control_law(self, x: npt.ArrayLike, xi: npt.ArrayLike) -> tuple[Vector, Vector]:
         """Plant states (…, n), controller states (…, nc) -> u (…, m), ξ̇ (…, nc)."""
         x, xi = np.asarray(x, float), np.asarray(xi, float)
-        u, xi_dot = self.control_law_function.call([x.T, xi.T])
-        shape = (*xi.shape[:-1], self.terms.m)
-        return np.asarray(u, float).T.reshape(shape), np.asarray(xi_dot, float).T.reshape(xi.shape)
+        u, z_dot = self._motion_function.call([np.concatenate([x, xi], axis=-1).T])
+        shape, rates = (*xi.shape[:-1], self.terms.m), np.asarray(z_dot, float).T
+        return np.asarray(u, float).T.reshape(shape), rates[..., self.terms.n :].reshape(xi.shape)
+
+    def stored(self, x: npt.ArrayLike, xi: npt.ArrayLike) -> Vector:
+        """What the controller keeps, s = ξ − γ(x), (…, nc)."""
+        return np.asarray(xi, float) - self.gamma(x)
+
+    def gamma(self, x: npt.ArrayLike) -> Vector:
+        """γ(x), (…, nc): ξ less what the controller keeps."""
+        x = np.asarray(x, float)
+        shape = (*x.shape[:-1], self.terms.nc)
+        return np.asarray(self.terms.gamma(x.T), float).T.reshape(shape)
 
     def vector_field(self, z: npt.ArrayLike) -> Vector:
         """Ż of the damped closed loop, (n + nc,) for each state."""
@@ -201,21 +225,26 @@ class LyapunovFunction:
 
     @cached_property
     def control_law_function(self) -> ca.Function:
-        """(x, ξ) -> (u, ξ̇), the exported controller."""
-        x, xi = ca.MX.sym("x", self.terms.n), ca.MX.sym("xi", self.terms.nc)
+        """(x, s) -> (u, ṡ), the exported controller; s = ξ in the published loop."""
+        x, s = ca.MX.sym("x", self.terms.n), ca.MX.sym("xi", self.terms.nc)
         weights, damping = ca.DM(self.weights), ca.DM(self.damping)
-        u, xi_dot = control_law(self.terms, self.form, weights, damping, x, xi)
-        return ca.Function("necc", [x, xi], [u, xi_dot], ["x", "xi"], ["u", "xi_dot"])
+        u, s_dot = control_law(self.terms, self.form, weights, damping, x, s)
+        return ca.Function("necc", [x, s], [u, s_dot], ["x", "xi"], ["u", "xi_dot"])
 
     @cached_property
     def vector_field_function(self) -> ca.Function:
         """Z -> ż of the damped closed loop, plant and controller as they are built."""
-        terms = self.terms
         z = self._z()
+        return ca.Function("loop", [z], [self._motion_function.call([z])[1]], ["z"], ["z_dot"])
+
+    @cached_property
+    def _motion_function(self) -> ca.Function:
+        """Z -> (u, ż)."""
+        terms, z = self.terms, self._z()
         x, xi = z[: terms.n], z[terms.n :]
-        u, xi_dot = self.control_law_function.call([x, xi])
+        u, s_dot = self.control_law_function.call([x, xi - terms.gamma(x)])
         x_dot = terms.F(x) @ terms.grad_H(x) + terms.G(x) @ u
-        return ca.Function("loop", [z], [ca.vertcat(x_dot, xi_dot)], ["z"], ["z_dot"])
+        return ca.Function("motion", [z], [u, state_rate(terms, x, x_dot, s_dot)])
 
     def _z(self) -> ca.MX:
         return ca.MX.sym("z", self.terms.n + self.terms.nc)

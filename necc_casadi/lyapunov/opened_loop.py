@@ -30,19 +30,20 @@ def plant_linearisation(terms: Terms, x: Vector, u: Vector) -> tuple[Vector, Vec
 def opened_at_the_input(V: LyapunovFunction, z: Vector) -> tuple[Vector, Vector, Vector]:
     """(A, B, C) of L with u = −L(s) w at the state z: the controller's answer to an input w.
 
-    States are (x, ξ); A − BC is the closed loop.
+    States are (x, s), s = ξ − γ(x); A − BC is the closed loop.
     """
     terms = V.terms
     n, m = terms.n, terms.m
-    x, xi = ca.MX.sym("x", n), ca.MX.sym("xi", terms.nc)
-    u, xi_dot = V.control_law_function.call([x, xi])
-    law = ca.Function("law", [x, xi], [u, _slope(u, x, xi), _slope(xi_dot, x, xi)])
-    u_z, u_slope, xi_slope = (np.asarray(v, float) for v in law.call([z[:n], z[n:]]))
+    x, s = ca.MX.sym("x", n), ca.MX.sym("s", terms.nc)
+    u, s_dot = V.control_law_function.call([x, s])
+    law = ca.Function("law", [x, s], [u, _slope(u, x, s), _slope(s_dot, x, s)])
+    at = [z[:n], V.stored(z[:n], z[n:])]
+    u_z, u_slope, s_slope = (np.asarray(v, float) for v in law.call(at))
     A_plant, G = plant_linearisation(terms, z[:n], u_z.ravel())
-    A = np.vstack([np.hstack([A_plant, np.zeros((n, terms.nc))]), xi_slope])
+    A = np.vstack([np.hstack([A_plant, np.zeros((n, terms.nc))]), s_slope])
     B = np.vstack([G, np.zeros((terms.nc, m))])
     return A, B, -u_slope
 
 
-def _slope(f: ca.MX, x: ca.MX, xi: ca.MX) -> ca.MX:
-    return ca.horzcat(ca.jacobian(f, x), ca.jacobian(f, xi))
+def _slope(f: ca.MX, x: ca.MX, s: ca.MX) -> ca.MX:
+    return ca.horzcat(ca.jacobian(f, x), ca.jacobian(f, s))

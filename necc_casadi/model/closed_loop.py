@@ -3,11 +3,15 @@
 eq. Controller:       ξ̇ = (Jc − Rc)∇Hc + Gc u_c,  y_c = Gcᵀ∇Hc
 eq. PlantControllerInterconnection:  u = −y_c + v,  u_c = y + v_c
 eq. ClosedLoopSystem: Jcl = [[J, −G Gcᵀ], [Gc Gᵀ, Jc]],  Rcl = diag(R, Rc)
+
+Every loop is ż = M∇(H + Hc) + 𝒢(v, v_c) with u = −A∇Hc + v. A controller keeps s = ξ − γ(x),
+where γ = 0 in the published loop; see shaped_loop.py for another.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import sympy as sp
@@ -74,8 +78,51 @@ class ClosedLoop:
 
     @cached_property
     def ports(self) -> sp.ImmutableMatrix:
-        """𝒢 = diag(G, Gc), (n + nc) × 2m, through which v and v_c act."""
+        """𝒢 = diag(G, Gc), (n + nc) × (m + channels), through which v and v_c act."""
         return sp.ImmutableMatrix(sp.diag(sp.Matrix(self.plant.G), sp.Matrix(self.controller.Gc)))
+
+    @property
+    def channels(self) -> int:
+        """Number of entries of v_c."""
+        return int(self.controller.Gc.cols)
+
+    @property
+    def feedback(self) -> sp.ImmutableMatrix:
+        """A in u = −A∇Hc + v, m × nc."""
+        return sp.ImmutableMatrix(self.controller.Gc.T)
+
+    @property
+    def gamma(self) -> tuple[sp.Expr, ...]:
+        """γ(x), (nc,): the controller keeps s = ξ − γ(x)."""
+        return (sp.Integer(0),) * self.controller.nc
+
+    @property
+    def slopes(self) -> sp.ImmutableMatrix:
+        """∇γ, n × nc."""
+        return sp.ImmutableMatrix(sp.zeros(self.plant.n, self.controller.nc))
+
+    @property
+    def own_structure(self) -> sp.ImmutableMatrix:
+        """M_s, nc × (n + nc), and with :attr:`own_ports` ṡ = M_s ∇(H + Hc) + 𝒢_s(v, v_c)."""
+        return sp.ImmutableMatrix(self.M[self.plant.n :, :])
+
+    @property
+    def own_ports(self) -> sp.ImmutableMatrix:
+        """𝒢_s, nc × (m + channels)."""
+        return sp.ImmutableMatrix(self.ports[self.plant.n :, :])
+
+    @property
+    def matrices(self) -> tuple[sp.MatrixBase, ...]:
+        """What the loop is made of beside H, as it was written."""
+        plant, controller = self.plant, self.controller
+        return (plant.J, plant.R, plant.G, controller.Jc, controller.Rc, controller.Gc)
+
+    def rewritten(self, change: Callable[[sp.Expr], sp.Expr]) -> ClosedLoop:
+        """The loop with every entry of its matrices changed."""
+        changed = (sp.ImmutableMatrix(matrix.applyfunc(change)) for matrix in self.matrices)
+        J, R, G, Jc, Rc, Gc = changed
+        plant = replace(self.plant, J=J, R=R, G=G)
+        return replace(self, plant=plant, controller=replace(self.controller, Jc=Jc, Rc=Rc, Gc=Gc))
 
     @property
     def properties(self) -> tuple[Property, ...]:

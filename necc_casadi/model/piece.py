@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import sympy as sp
 
@@ -44,17 +44,14 @@ def loop_piece(loop: ClosedLoop, x_star: Mapping[sp.Symbol, sp.Expr]) -> LoopPie
 
     Without such functions the entries are meromorphic: one piece, whatever the poles.
     """
-    plant, controller = loop.plant, loop.controller
-    matrices = (plant.J, plant.R, plant.G, controller.Jc, controller.Rc, controller.Gc)
-    entries = [e for matrix in matrices for e in matrix.todok().values() if e.free_symbols]
+    entries = [e for matrix in loop.matrices for e in matrix.todok().values() if e.free_symbols]
     if not branches(entries):
         return LoopPiece(loop)
     middle = {s: x_star.get(s, _ANYWHERE) for s in loop.z}
     piece = piece_around(entries, middle, dict.fromkeys(loop.z, sp.Integer(2)))
     if piece is None:
         return LoopPiece(loop, joined=False)
-    J, R, G, Jc, Rc, Gc = (m.applyfunc(piece.rewritten) for m in matrices)
-    local = ClosedLoop(replace(plant, J=J, R=R, G=G), replace(controller, Jc=Jc, Rc=Rc, Gc=Gc))
+    local = loop.rewritten(piece.rewritten)
     return LoopPiece(local, piece, changed=local.M != loop.M or local.ports != loop.ports)
 
 

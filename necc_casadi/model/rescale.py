@@ -3,7 +3,8 @@
 With z = S ẑ, t = T τ, H = E Ĥ, u = U û and y = (E/TU) ŷ the loop keeps its form (eq. Plant,
 Controller, PlantControllerInterconnection):
 
-    Ĥ(x̂) = H(Sx̂)/E,  Ĵ = TE S⁻¹JS⁻¹ (R, Jc, Rc alike),  Ĝ = T S⁻¹GU,  Ĝc = E S⁻¹Gc U⁻¹.
+    Ĥ(x̂) = H(Sx̂)/E,  Ĵ = TE S⁻¹JS⁻¹ (R, Jc, Rc alike),  Ĝ = T S⁻¹GU,  Ĝc = E S⁻¹Gc U⁻¹;
+    of power shaping γ̂ = S⁻¹γ(Sx̂),  α̂ = E U⁻¹αS⁻¹,  v̂_c = T S⁻¹v_c.
 
 Powers of two make every number of the new loop the old one with another exponent.
 """
@@ -19,6 +20,7 @@ from necc_casadi.arrays import Vector
 from necc_casadi.model.closed_loop import ClosedLoop
 from necc_casadi.model.controller import Controller
 from necc_casadi.model.plant import Plant
+from necc_casadi.model.shaped_loop import ShapedLoop
 from necc_casadi.model.sizes import Sizes, input_names
 
 __all__ = ["exactly", "rescaled_functions", "rescaled_loop"]
@@ -41,27 +43,36 @@ def rescaled_loop(loop: ClosedLoop, units: Sizes) -> ClosedLoop:
     def structure(matrix: sp.MatrixBase, size: Sequence[sp.Expr]) -> sp.ImmutableMatrix:
         return _entries(matrix, scale, lambda i, j: time * energy / (size[i] * size[j]))
 
-    return ClosedLoop(
-        Plant(
-            name=plant.name,
-            x=plant.x,
-            J=structure(plant.J, rows),
-            R=structure(plant.R, rows),
-            G=_entries(plant.G, scale, lambda i, j: time * u[j] / rows[i]),
-            H=_scaled(plant.H, scale, 1 / energy),
-            domain={
-                name: (lo / state[loop.states.index(name)], hi / state[loop.states.index(name)])
-                for name, (lo, hi) in plant.domain.items()
-            },
-            u_limits=None
-            if plant.u_limits is None
-            else tuple(
-                (lo / float(size), hi / float(size))
-                for (lo, hi), size in zip(plant.u_limits, units.input, strict=True)
-            ),
-            sizes=_sizes(loop, units),
-            properties=plant.properties,
+    measured = Plant(
+        name=plant.name,
+        x=plant.x,
+        J=structure(plant.J, rows),
+        R=structure(plant.R, rows),
+        G=_entries(plant.G, scale, lambda i, j: time * u[j] / rows[i]),
+        H=_scaled(plant.H, scale, 1 / energy),
+        domain={
+            name: (lo / state[loop.states.index(name)], hi / state[loop.states.index(name)])
+            for name, (lo, hi) in plant.domain.items()
+        },
+        u_limits=None
+        if plant.u_limits is None
+        else tuple(
+            (lo / float(size), hi / float(size))
+            for (lo, hi), size in zip(plant.u_limits, units.input, strict=True)
         ),
+        sizes=_sizes(loop, units),
+        properties=plant.properties,
+    )
+    if isinstance(loop, ShapedLoop):
+        pairs = zip(loop.shaping, inner, strict=True)
+        return ShapedLoop(
+            measured,
+            controller,
+            tuple(_scaled(g, scale, 1 / size) for g, size in pairs),
+            _entries(loop.alpha, scale, lambda i, j: energy / (u[i] * inner[j])),
+        )
+    return ClosedLoop(
+        measured,
         Controller(
             xi=controller.xi,
             Jc=structure(controller.Jc, inner),

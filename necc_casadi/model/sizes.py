@@ -139,8 +139,7 @@ def natural_sizes(
         given.get(name, _input_size(local, state, time, k))
         for k, name in enumerate(input_names(plant.m))
     ]
-    matrices = (loop.controller.Jc, loop.controller.Rc, loop.controller.Gc)
-    entries = [*casimirs, *(e for matrix in matrices for e in sp.Matrix(matrix))]
+    entries = [*casimirs, *(e for matrix in loop.matrices for e in matrix.todok().values())]
     turning = _turning(entries, loop.controller.xi)
     controller = _controller_sizes(
         loop, turning | given, slopes, state, energy, np.array(inputs), xi

@@ -41,9 +41,9 @@ _RELATIVE, _ABSOLUTE, _MOST_STEPS = 1e-8, 1e-10, 5000
 class Feedback:
     """A controller in natural units."""
 
-    law: ca.Function  # (x, ξ) -> (u, ξ̇)
+    law: ca.Function  # (x, s) -> (u, ṡ), s what the controller keeps
     nc: int  # states of the controller
-    start: Callable[[Vector], Vector]  # x(0) (n,) -> ξ(0) (nc,)
+    start: Callable[[Vector], Vector]  # x(0) (n,) -> s(0) (nc,)
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +54,7 @@ class Responses:
     x: Vector  # (N, points, n)
     u: Vector  # (N, points, m) within the limits of the model
     demand: Vector  # (N, points, m) what the controller asked for
-    xi: Vector  # (N, points, nc)
+    kept: Vector  # (N, points, nc) states of the controller
     cost: Vector  # (N,) ∞ where the target is not reached
     x_star: Vector  # (n,)
     size: Vector  # (n,)
@@ -108,9 +108,9 @@ class Responses:
 
 def design_feedback(design: Design) -> Feedback:
     """The controller of a design, ξ starting where the design says."""
-    natural = design.natural
-    law = natural.lyapunov.control_law_function
-    return Feedback(law, len(natural.xi_star), natural.xi_at_start)
+    natural, V = design.natural, design.natural.lyapunov
+    law = V.control_law_function
+    return Feedback(law, V.terms.nc, lambda x: V.stored(x, natural.xi_at_start(x)))
 
 
 def lqr_feedback(plant: PlantModel) -> Feedback | None:
@@ -128,18 +128,18 @@ def responses(
     feedback: Feedback,
     starts: Sequence[Vector],
     horizon: float,
-    xi: Sequence[Vector] | None = None,
+    kept: Sequence[Vector] | None = None,
 ) -> Responses:
     """Responses from plant states (n,) over a horizon, in natural units, inputs limited.
 
-    ξ starts as the controller has it, or at `xi` (nc,) for each start.
+    The controller starts as it does by itself, or from `kept` (nc,) for each start.
     """
-    xi = [feedback.start(start) for start in starts] if xi is None else xi
+    kept = [feedback.start(start) for start in starts] if kept is None else kept
     grid = np.linspace(0.0, horizon, _POINTS)
     integrator = _integrator(plant, feedback, grid)
     n, nc = plant.n, feedback.nc
     states = np.full((len(starts), _POINTS, n + nc + 1), np.nan)
-    for index, (start, held) in enumerate(zip(starts, xi, strict=True)):
+    for index, (start, held) in enumerate(zip(starts, kept, strict=True)):
         states[index, 0] = np.concatenate([start, held, [0.0]])
         try:
             with interruptible():
@@ -156,7 +156,7 @@ def responses(
         x=states[..., :n],
         u=np.clip(demand, plant.u_low, plant.u_high),
         demand=demand,
-        xi=states[..., n : n + nc],
+        kept=states[..., n : n + nc],
         cost=states[:, -1, -1],
         x_star=plant.x_star,
         size=plant.size,

@@ -47,8 +47,9 @@ def with_better_start(design: Design, cost: QuadraticCost) -> Design:
     least = [least_over_xi(natural.lyapunov, natural, start) for start in starts]
     if not all(reached for _, reached in least):
         return replace(design, initial_xi="target")
-    xi = [natural.xi_star] * _STARTS + [at for at, _ in least]
-    found = responses(plant, design_feedback(design), starts * 2, decay_time(design), xi)
+    V, near = natural.lyapunov, [natural.stored_star] * _STARTS
+    kept = near + [V.stored(x, at) for x, (at, _) in zip(starts, least, strict=True)]
+    found = responses(plant, design_feedback(design), starts * 2, decay_time(design), kept)
     arrived, paid = found.arrived, found.cost
     better = _is_better(arrived[_STARTS:], paid[_STARTS:], arrived[:_STARTS], paid[:_STARTS])
     return replace(design, initial_xi="minimum" if better else "target")

@@ -155,7 +155,7 @@ class _Follower:
         natural = design.natural
         self.plant, self.feedback = plant, feedback
         size = natural.sizes.state
-        self.target = natural.z_bar[: plant.n + feedback.nc]
+        self.target = natural.stored_z_bar[: plant.n + feedback.nc]
         self.size = size[: len(self.target)]
         self.units = design.units.state[: plant.n]
         self.horizon = default_horizon(design) / design.units.time

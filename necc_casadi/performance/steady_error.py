@@ -55,18 +55,18 @@ def _error(natural: Design, plant: Terms, force: Vector) -> Vector | None:
     V = natural.lyapunov
     n = V.terms.n
     z, way = ca.MX.sym("z", len(natural.z_star)), ca.MX.sym("way")
-    x, xi = z[:n], z[n:]
-    u, xi_dot = V.control_law_function.call([x, xi])
+    x = z[:n]
+    u, s_dot = V.control_law_function.call([x, z[n:]])
 
     def dynamics(terms: Terms, held: ca.MX) -> ca.MX:
         return terms.F(x) @ terms.grad_H(x) + terms.G(x) @ held
 
     pushed = u + way * ca.DM(force)
     x_dot = (1 - way) * dynamics(V.terms, pushed) + way * dynamics(plant, pushed)
-    field = ca.vertcat(x_dot, xi_dot)
+    field = ca.vertcat(x_dot, s_dot)
     slope = ca.jacobian(field, z)
     both = ca.Function("rest", [z, way], [field, slope])
-    at = natural.z_bar
+    at = natural.stored_z_bar
     for share in np.linspace(0, 1, _STEPS + 1)[1:]:
         for _ in range(_NEWTON):
             f, A = (np.asarray(v, float) for v in both.call([at, share]))

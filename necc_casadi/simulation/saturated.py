@@ -1,4 +1,4 @@
-"""The loop as it is built: the plant gets u within its limits, ξ moves by x alone."""
+"""The loop as it is built: the plant gets u within its limits, the controller moves by x alone."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import numpy as np
 
 from necc_casadi.arrays import Vector
 from necc_casadi.designs.design import Design
+from necc_casadi.lyapunov.lyapunov import state_rate
 
 __all__ = ["applied", "saturated_field"]
 
@@ -31,7 +32,8 @@ def saturated_field(design: Design) -> ca.Function:
     terms, (low, high) = V.terms, np.array(limits, float).T
     z = ca.MX.sym("z", terms.n + terms.nc)
     x, xi = z[: terms.n], z[terms.n :]
-    u, xi_dot = V.control_law_function.call([x, xi])
+    u, s_dot = V.control_law_function.call([x, xi - terms.gamma(x)])
     held = ca.fmin(ca.fmax(u, ca.DM(low)), ca.DM(high))
     x_dot = terms.F(x) @ terms.grad_H(x) + terms.G(x) @ held
-    return ca.Function("saturated", [z], [ca.vertcat(x_dot, xi_dot)], ["z"], ["z_dot"])
+    rate = state_rate(terms, x, x_dot, s_dot)
+    return ca.Function("saturated", [z], [rate], ["z"], ["z_dot"])

@@ -34,7 +34,7 @@ def choose_damping(
     D: Vector | None = None,
     Dc: Vector | None = None,
 ) -> tuple[Vector, Vector]:
-    """D and Dc, m × m each: as given, or for the best decay rate of the linearised loop.
+    """D, m × m, and Dc, (channels)²: as given, or for the best decay rate of the linearised loop.
 
     Too much damping slows the loop down as much as too little, so the rate is searched over
     multiples of a natural damping, and of those near the best the smallest is taken: it costs
@@ -93,7 +93,7 @@ def _rounded(D: Vector) -> Vector:
 
 
 def _natural_damping(M: Vector, hessian: Vector, ports: Vector) -> Vector:
-    """Damping of each port at which its rate equals the loop's natural frequency, (2m,)."""
+    """Damping of each port at which its rate equals the loop's natural frequency."""
     frequencies = np.abs(np.linalg.eigvals(M @ hessian))
     significant = frequencies[frequencies > 1e-6 * max(frequencies.max(), 1e-300)]
     omega = float(np.median(significant)) if significant.size else 1.0

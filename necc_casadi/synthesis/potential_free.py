@@ -61,7 +61,8 @@ def best_coordinates(terms: Terms, x_star: Vector, guess: Vector, scales: Sizes)
     xi, z = ca.SX.sym("xi", terms.nc), ca.SX.sym("z", terms.n + terms.nc)
     slopes = ca.jacobian(terms.c(z), z)[:, : terms.n]
     N = ca.substitute(slopes, z, ca.vertcat(x_star, xi)) @ ca.diag(scales.state[: terms.n])
-    worth = ca.log(ca.det(N @ N.T) + 1e-12) - _APART * _condition(terms, xi)
+    own = _condition(terms, ca.vertcat(ca.SX(x_star), xi))
+    worth = ca.log(ca.det(N @ N.T) + 1e-12) - _APART * own
     options = {"print_time": False, "ipopt.print_level": 0, "ipopt.sb": "yes", "ipopt.tol": 1e-8}
     solver = ca.nlpsol("chart", "ipopt", {"x": xi, "f": -worth}, options)
     half = _REACH * scales.state[terms.n :]
@@ -78,9 +79,9 @@ def best_coordinates(terms: Terms, x_star: Vector, guess: Vector, scales: Sizes)
     return best
 
 
-def _condition(terms: Terms, xi: ca.SX) -> ca.SX:
+def _condition(terms: Terms, z: ca.SX) -> ca.SX:
     """Logarithm of ‖Gc‖²‖Gc⁺‖², infinite where Gc is singular or has a pole."""
-    Gc = terms.Gc(xi)
+    Gc = terms.own_ports(z)[:, terms.m :]
     gram = Gc.T @ Gc
     result: ca.SX = ca.log(ca.trace(gram) * ca.trace(ca.inv(gram)))
     return result

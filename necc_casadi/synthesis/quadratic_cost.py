@@ -2,7 +2,7 @@
 
 At z*, where ∇V = 0, the damped loop and its input are linear in N = ∇²V(z*) and 𝒟:
 
-    A = (M − 𝒢𝒟𝒢ᵀ) N,   C_u = −∂(Gcᵀ∇Hc)/∂z − [D B] 𝒢ᵀN,
+    A = (M − 𝒢𝒟𝒢ᵀ) N,   C_u = −∂(A∇Hc)/∂z − [D B] 𝒢ᵀN,  u = −A∇Hc + v,
     AᵀP + PA + Q + C_uᵀ R C_u = 0,   P = L_P L_Pᵀ,
 
 so that xᵀPx is what a response costs near the target. N depends on the weights through the lifted
@@ -122,7 +122,7 @@ class Responsive:
 
     weights: Vector  # (form.size,)
     xi_star: Vector  # (nc,)
-    damping: Vector  # 2m × 2m
+    damping: Vector  # (m + channels)²
     eta: Vector  # its variables in the program
     start: Start
     before: float  # cost of the linearised loop over LQR's, at the start
@@ -203,7 +203,7 @@ def least_cost(
 
 
 def coupled_damping(trained: Vector, eta: Vector) -> Vector:
-    """𝒟 of its variables η beside the damping of training, 2m × 2m."""
+    """𝒟 of its variables η beside the damping of training."""
     symbols, D = damping_variables(trained)
     return _readable(np.asarray(ca.Function("damping", [symbols], [D])(eta), float))
 
@@ -223,12 +223,10 @@ class _Loop:
         self.size = lifting.scales.state
         self.eta, D = damping_variables(damping)
         z = ca.vertcat(ca.SX(lifting.x_star), lifting.xi)
-        G, Gc = terms.G(z[:n]), terms.Gc(lifting.xi)
-        ports = ca.vertcat(ca.horzcat(G, ca.SX(n, m)), ca.horzcat(ca.SX(terms.nc, m), Gc))
+        ports = terms.ports(z)
         seen = ports.T @ lifting.N
         A = terms.M(z) @ lifting.N - ports @ D @ seen
-        input_slope = -D[:m, :] @ seen
-        input_slope[:, n:] -= _controller_slope(lifting)
+        input_slope = -D[:m, :] @ seen - _controller_slope(lifting)
         scale, inverse = ca.DM(self.size), ca.DM(1 / self.size)
         self.A = ca.diag(inverse) @ A @ ca.diag(scale)
         self.C = input_slope @ ca.diag(scale)
@@ -271,17 +269,19 @@ class _Loop:
 
 
 def _controller_slope(lifting: Lifting) -> ca.SX:
-    """∂(Gcᵀ∇Hc)/∂ξ at ξ*, (m, nc)."""
-    s = ca.SX.sym("s", lifting.terms.nc)
-    energy = lifting.jets[0].model(s)
-    output = lifting.terms.Gc(s).T @ ca.gradient(energy, s)
-    return ca.substitute(ca.jacobian(output, s), s, lifting.xi)
+    """∂(A∇Hc)/∂z at z*, (m, n + nc)."""
+    terms = lifting.terms
+    z = ca.SX.sym("z", terms.n + terms.nc)
+    energy = lifting.jets[0].model(z[terms.n :])
+    output = terms.feedback(z) @ ca.gradient(energy, z)[terms.n :]
+    here = ca.vertcat(ca.SX(lifting.x_star), lifting.xi)
+    return ca.substitute(ca.jacobian(output, z), z, here)
 
 
-def damping_bounds(m: int) -> tuple[Vector, Vector]:
-    """Bounds of η."""
-    coupling = np.full(2 * m * (2 * m - 1), _COUPLING)
-    diagonal = np.ones(2 * m)
+def damping_bounds(size: int) -> tuple[Vector, Vector]:
+    """Bounds of η for a damping of so many rows."""
+    coupling = np.full(size * (size - 1), _COUPLING)
+    diagonal = np.ones(size)
     low = np.concatenate([np.log(_LEAST_DAMPING) * diagonal, -coupling])
     return low, np.concatenate([np.log(_MOST_DAMPING) * diagonal, coupling])
 
@@ -381,7 +381,7 @@ class _Nlp:
 
     def _bounds(self, kappa_min: float) -> tuple[Vector, Vector]:
         lifting, program = self.lifting, self.program
-        low, high = damping_bounds(lifting.terms.m)
+        low, high = damping_bounds(lifting.terms.m + lifting.terms.channels)
         free = np.full(len(self.pattern), np.inf)
         networks = [network.lower(kappa_min) for network in lifting.form.networks]
         lower = [np.full(lifting.small.numel(), -np.inf), program.lower, low, -free, *networks]

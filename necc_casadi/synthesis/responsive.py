@@ -120,8 +120,8 @@ class LeastCost:
         """A solution, or what training ended with, as a place to begin at."""
         if found is not None:
             return Begin(found.weights, found.xi_star, found.eta)
-        m = self.plan.terms.m
-        eta = np.zeros(2 * m + 2 * m * (2 * m - 1))
+        size = len(self.damping)
+        eta = np.zeros(size + size * (size - 1))
         return Begin(self.solution.weights, self.solution.xi_star, eta)
 
     def _faster(self, rate: float, price: float, now: Begin) -> Reached:
@@ -201,13 +201,12 @@ class LeastCost:
 
     def _scaled_eta(self, eta: Vector, d: float, dc: float) -> Vector:
         """η of 𝒟 with its ports scaled: entries by √(d d), √(d dc) or √(dc dc)."""
-        m = self.plan.terms.m
-        port = np.repeat([d, dc], m)
-        below = [(i, j) for i in range(2 * m) for j in range(i)]
+        port = np.repeat([d, dc], self._ports)
+        below = [(i, j) for i in range(len(port)) for j in range(i)]
         rows = np.sqrt([port[i] for i, _ in below])
         both = np.sqrt([port[i] * port[j] for i, j in below])
         return np.asarray(
-            eta * np.concatenate([np.ones(2 * m), rows, both])
+            eta * np.concatenate([np.ones(len(port)), rows, both])
             + np.concatenate([np.log(port), np.zeros(2 * len(below))])
         )
 
@@ -233,6 +232,11 @@ class LeastCost:
         )
         return None if found is None or found.start.loss > SOLVED else found
 
+    @property
+    def _ports(self) -> tuple[int, int]:
+        """Entries of v and of v_c."""
+        return self.plan.terms.m, self.plan.terms.channels
+
     def _rate(self, at: Begin) -> float:
         """Of the slowest mode at z*, in training units."""
         return self._rates(at, [(1.0, 1.0)])[0]
@@ -241,11 +245,9 @@ class LeastCost:
         """The same for many dampings, whose ports are scaled by (d, dc)."""
         _, N = self.lifting.at(self.lifting.jets_at(at.weights, at.xi_star))
         terms, z = self.plan.terms, np.concatenate([self.plan.x, at.xi_star])
-        n, m = terms.n, terms.m
-        ports = np.zeros((len(z), 2 * m))
-        ports[:n, :m], ports[n:, m:] = terms.G(z[:n]), terms.Gc(z[n:])
+        ports = np.asarray(terms.ports(z), float)
         damping = coupled_damping(self.damping, at.eta)
-        root = np.sqrt(np.repeat(np.array(factors), m, axis=1))
+        root = np.sqrt(np.repeat(np.array(factors), self._ports, axis=1))
         many = ports @ (damping * root[:, :, None] * root[:, None, :]) @ ports.T
         slowest = np.linalg.eigvals((np.asarray(terms.M(z), float) - many) @ N).real.max(axis=-1)
         return [float(-s) for s in slowest]

@@ -111,7 +111,7 @@ class Moving:
         return ca.DM(self.lifting.sigma) * w + ca.DM(self.lifting.tau)
 
     def damping_of(self, theta: ca.MX) -> ca.MX:
-        """𝒟, 2m × 2m."""
+        """𝒟, (m + channels)²."""
         found: ca.MX = self._damping(self.split(theta)[-1])
         return found
 
@@ -142,6 +142,8 @@ class Rollouts:
         self.moving, self.plant, self.starts = moving, plant, starts
         self.step, self.steps = 0.0, 1
         self.n, self.nc = plant.n, moving.lifting.terms.nc
+        held = np.asarray(moving.lifting.terms.gamma(plant.x_star), float).ravel()
+        self.kept_star = moving.xi_star - held  # s at z*
         self.input_root = np.linalg.cholesky(plant.cost.R).T
         self.state_root = _root(plant.cost.Q)
         #: what follows the horizon costs about what LQR pays for it
@@ -169,13 +171,13 @@ class Rollouts:
         """(z, θ) -> ż and u, clipped; and the same with their slopes in z and θ."""
         moving, plant = self.moving, self.plant
         terms, form = moving.lifting.terms, moving.lifting.form
-        x, xi = ca.MX.sym("x", self.n), ca.MX.sym("xi", self.nc)
+        x, s = ca.MX.sym("x", self.n), ca.MX.sym("s", self.nc)
         theta = ca.MX.sym("theta", moving.size)
         weights, damping = moving.weights(theta), moving.damping_of(theta)
-        asked, xi_dot = control_law(terms, form, weights, damping, x, xi)
+        asked, s_dot = control_law(terms, form, weights, damping, x, s)
         u = ca.fmin(ca.fmax(asked, ca.DM(plant.u_low)), ca.DM(plant.u_high))
-        found = ca.vertcat(plant_dynamics(terms)(x, u), xi_dot, u)
-        split = ca.Function("split", [x, xi, theta], [ca.densify(found)])
+        found = ca.vertcat(plant_dynamics(terms)(x, u), s_dot, u)
+        split = ca.Function("split", [x, s, theta], [ca.densify(found)])
         z = ca.MX.sym("z", self.n + self.nc)
         field = ca.Function("field", [z, theta], [split(z[: self.n], z[self.n :], theta)])
         if form.size > _SCALAR_WEIGHTS:
@@ -185,13 +187,13 @@ class Rollouts:
 
     def slope(self, theta: Vector) -> Vector:
         """∂ż/∂z at z*, (n + nc, n + nc)."""
-        z_star = np.concatenate([self.plant.x_star, self.moving.xi_star])
+        z_star = np.concatenate([self.plant.x_star, self.kept_star])
         by_z = np.asarray(self._one.call([z_star, theta])[1], float)
         return by_z[: self.n + self.nc]
 
     def _first(self) -> Vector:
-        xi = np.repeat(self.moving.xi_star[None], len(self.starts), axis=0)
-        return np.concatenate([self.starts, xi], axis=1)
+        kept = np.repeat(self.kept_star[None], len(self.starts), axis=0)
+        return np.concatenate([self.starts, kept], axis=1)
 
     def costs(self, theta: Vector) -> Vector:
         """What the responses cost, (N,); nan where the method leaves floating point."""

@@ -155,8 +155,8 @@ class _Finish:
     def damping(self) -> Vector:
         """𝒟 that the trained V is damped with, in training units."""
         plan, options, m = self.plan, self.options, self.plan.terms.m
-        V = LyapunovFunction(plan.terms, plan.form, self.solution.weights, np.eye(2 * m))
-        unit = damping_units(plan.units)
+        unit = damping_units(self.loop, plan.units)
+        V = LyapunovFunction(plan.terms, plan.form, self.solution.weights, np.eye(len(unit)))
         given = (
             None if options.D is None else options.D / unit[:m, :m],
             None if options.Dc is None else options.Dc / unit[m:, m:],
@@ -187,7 +187,7 @@ class _Finish:
             form=plan.form,
             weights=weights * weight_units(plan.form, plan.units),
             xi_star=xi_star * plan.units.state[plan.terms.n :],
-            damping=damping * damping_units(plan.units),
+            damping=damping * damping_units(self.loop, plan.units),
             a=plan.a,
             a_requested=plan.a_requested,
             sizes=plan.sizes,

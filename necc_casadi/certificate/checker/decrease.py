@@ -12,6 +12,7 @@ import sympy as sp
 
 from necc_casadi.certificate.checker.arithmetic.definite import exactly_positive
 from necc_casadi.certificate.checker.evidence import Checked, Evidence
+from necc_casadi.certificate.checker.loops import StoredShaping
 from necc_casadi.certificate.checker.model import StoredDesign
 from necc_casadi.certificate.claims import statements
 from necc_casadi.symbolic.semidefinite import is_positive_semidefinite
@@ -41,16 +42,17 @@ def _casimir(model: StoredDesign) -> Checked:
 
 
 def _structure(m: StoredDesign) -> Checked:
-    """Skewness and semidefiniteness, exactly."""
-    skew = [
-        (f"{name} = −{name}ᵀ", partial(_vanishes, A + A.T))
-        for name, A in (("J", m.J), ("Jc", m.Jc))
-    ]
+    """Skewness, semidefiniteness and what ties α to γ, exactly."""
+    loop = m.loop
+    skew = [(f"{name} = −{name}ᵀ", partial(_vanishes, A + A.T)) for name, A in loop.skew.items()]
     dissipative = [
         (f"{name} = {name}ᵀ ⪰ 0", partial(_is_dissipative, A))
-        for name, A in (("R", m.R), ("Rc", m.Rc))
+        for name, A in loop.dissipative.items()
     ]
-    return Checked.by("structure", statements.STRUCTURE, [*skew, *dissipative])
+    zero = [(f"{name} = 0", partial(_vanishes, A)) for name, A in loop.zero.items()]
+    shaped = isinstance(loop, StoredShaping)
+    text = statements.SHAPED_STRUCTURE if shaped else statements.STRUCTURE
+    return Checked.by("structure", text, [*skew, *dissipative, *zero])
 
 
 def _vanishes(A: sp.Matrix) -> bool:

@@ -23,7 +23,7 @@ _DEPTH = 28
 
 
 class InputProof:
-    """u = −Gcᵀ∇Hc − D Gᵀ ∂V/∂x − B Gcᵀ ∂V/∂ξ over boxes, [D B] the first rows of 𝒟.
+    """u = −A∇Hc − [D B] 𝒢ᵀ∇V over boxes, [D B] the first rows of 𝒟.
 
     The momenta s are within ½ δ sᵀAs ≤ c_u − V(y, 0).
     """
@@ -33,12 +33,11 @@ class InputProof:
     ) -> None:
         self.model, self.energy, self.level, self.damping = model, energy, level, damping
         self.resting = [i for i in range(len(model.z)) if i not in energy.active]
-        coupled = any(any(row[model.m :]) for row in damping)
-        self.driven = [
-            (k, i)
-            for k, i in enumerate(energy.active)
-            if (coupled if i >= model.n else any(model.G.row(i)))
+        columns = [
+            j for j in range(model.ports.cols) if j < model.m or any(row[j] for row in damping)
         ]
+        self.seen = model.ports[:, columns]  # what u sees ∇V through
+        self.driven = [(k, i) for k, i in enumerate(energy.active) if any(self.seen.row(i))]
         s = [model.z[i] for i in self.resting]
         self.A = sp.hessian(model.H, s) if s else sp.zeros(0)
 
@@ -48,7 +47,8 @@ class InputProof:
         if not s:
             return True
         coupled = any(self.A.has(model.z[i]) for _, i in self.driven)
-        return not (coupled or model.G.has(*s) or (self.driven and self.energy.phi is not None))
+        moved = self.seen.has(*s) or model.feedback.has(*s)
+        return not (coupled or moved or (self.driven and self.energy.phi is not None))
 
     def kept(self, box: Box) -> bool:
         """Whether u is within the limits wherever V ≤ c_u over a box."""
@@ -64,12 +64,12 @@ class InputProof:
         values = {v: ball(*b) for v, b in zip(self.energy.variables, box, strict=True)}
         slopes = self.energy.hc(box[-model.nc :])[1]
         ports = [[evaluate(e, values) for e in row] for row in model.ports.tolist()]
-        Gc = [[evaluate(e, values) for e in row] for row in model.Gc.tolist()]
+        gain = [[evaluate(e, values) for e in row] for row in model.feedback.tolist()]
         stiff = [[evaluate(e, values) for e in row] for row in self.A.tolist()]
         for k, (lo, hi) in enumerate(model.u_limits or ()):
             given = self.damping[k]
             damped = [sum((given[j] * g for j, g in enumerate(row)), arb(0)) for row in ports]
-            u = -sum((Gc[j][k] * slope for j, slope in enumerate(slopes)), arb(0))
+            u = -sum((gain[k][j] * slope for j, slope in enumerate(slopes)), arb(0))
             u = u - sum((damped[i] * gradient[at] for at, i in self.driven), arb(0))
             swing = self._swing([damped[i] for i in self.resting], stiff, room)
             if not (bool(u - swing > float(lo)) and bool(u + swing < float(hi))):
@@ -108,9 +108,9 @@ def check_clipping(evidence: Evidence, proof: RegionProof | None, sound: bool) -
     model, m = evidence.model, evidence.model.m
     damping = model.damping
     alone = not any(
-        damping[i][j] or damping[j][i] for i in range(m) for j in range(2 * m) if i != j
+        damping[i][j] or damping[j][i] for i in range(m) for j in range(len(damping)) if i != j
     )
-    none = [[0] * (2 * m) for _ in range(m)]
+    none = [[0] * len(damping) for _ in range(m)]
     level = evidence.certificate.level_clipped
     return _check(evidence, proof, sound and alone, "clipping", level, none)
 

@@ -11,6 +11,11 @@ import sympy as sp
 from flint import arb
 
 from necc_casadi.certificate.checker.arithmetic.balls import ends, evaluate
+from necc_casadi.certificate.checker.loops import (
+    StoredInterconnection,
+    StoredLoop,
+    StoredShaping,
+)
 from necc_casadi.certificate.checker.units import StoredUnits, divided, numbers, rationals
 from necc_casadi.symbolic.expressions import parse
 
@@ -42,12 +47,22 @@ class StoredDesign:
             self._matrix(model[key], x, lambda i, j: T * E / (plant[i] * plant[j])) for key in "JR"
         )
         self.G = self._matrix(model["G"], x, lambda i, j: T * U[j] / plant[i])
-        self.Jc, self.Rc = (
-            self._matrix(model[key], xi, lambda i, j: T * E / (inner[i] * inner[j]))
-            for key in ("Jc", "Rc")
-        )
-        self.Gc = self._matrix(model["Gc"], xi, lambda i, j: E / (inner[i] * U[j]))
         self.m = self.G.cols
+        self.loop: StoredLoop
+        if "gamma" in model:
+            pairs = zip(model["gamma"], inner, strict=True)
+            gamma = [self._read(text, x) / unit for text, unit in pairs]
+            alpha = self._matrix(model["alpha"], x, lambda i, j: E / (U[i] * inner[j]))
+            self.loop = StoredShaping(self.J, self.R, self.G, x, gamma, alpha)
+        else:
+            Jc, Rc = (
+                self._matrix(model[key], xi, lambda i, j: T * E / (inner[i] * inner[j]))
+                for key in ("Jc", "Rc")
+            )
+            Gc = self._matrix(model["Gc"], xi, lambda i, j: E / (inner[i] * U[j]))
+            self.loop = StoredInterconnection(self.J, self.R, self.G, Jc, Rc, Gc)
+        self.Jcl, self.Rcl, self.ports = self.loop.Jcl, self.loop.Rcl, self.loop.ports
+        self.feedback = self.loop.feedback
         self.casimir_texts: list[str] = data["casimirs"]["functions"]
         texts = zip(self.casimir_texts, rationals(scale.casimir), strict=True)
         self.casimirs = [self._read(text, self.z) / unit for text, unit in texts]
@@ -78,14 +93,20 @@ class StoredDesign:
             When the blocks do not fit.
         """
         y = [self.units.energy / (self.units.time * v) for v in u]
-        rest = [["0x0p+0"] * self.m] * self.m
-        upper, lower = data.get("coupling", (rest, rest))
+        rates, slopes = y, u
+        if isinstance(self.loop, StoredShaping):
+            inner = self.units.state[self.n :]
+            rates = [v / self.units.time for v in inner]
+            slopes = [self.units.energy / v for v in inner]
+        channels = self.ports.cols - self.m
+        above, below = [["0x0p+0"] * channels] * self.m, [["0x0p+0"] * self.m] * channels
+        upper, lower = data.get("coupling", (above, below))
         top = [a + b for a, b in zip(data["D"], upper, strict=True)]
         bottom = [a + b for a, b in zip(lower, data["Dc"], strict=True)]
-        if not len(top) == len(bottom) == self.m:
-            raise ValueError("the damping needs m rows for each port")
-        pairs = zip(top + bottom, u + y, strict=True)
-        return [divided(numbers(row), [unit / v for v in y + u]) for row, unit in pairs]
+        if (len(top), len(bottom)) != (self.m, channels):
+            raise ValueError("the damping needs one row for each entry of the ports")
+        pairs = zip(top + bottom, u + rates, strict=True)
+        return [divided(numbers(row), [unit / v for v in y + slopes]) for row, unit in pairs]
 
     def _read(self, text: str, states: Sequence[sp.Symbol]) -> sp.Expr:
         """An expression of these states, in natural units.
@@ -110,27 +131,9 @@ class StoredDesign:
         )
 
     @property
-    def Jcl(self) -> sp.Matrix:
-        """The interconnection, plant first."""
-        coupling = self.G * self.Gc.T
-        top, bottom = self.J.row_join(-coupling), coupling.T.row_join(self.Jc)
-        return sp.Matrix(top.col_join(bottom))
-
-    @property
     def written(self) -> list[sp.Expr]:
-        """H, the entries of J, R, G, Jc, Rc, Gc and the Casimirs, undifferentiated."""
-        matrices = (self.J, self.R, self.G, self.Jc, self.Rc, self.Gc)
-        return [self.H, *(e for matrix in matrices for e in matrix), *self.casimirs]
-
-    @property
-    def Rcl(self) -> sp.Matrix:
-        """The dissipation."""
-        return sp.diag(self.R, self.Rc)
-
-    @property
-    def ports(self) -> sp.Matrix:
-        """𝒢 = diag(G, Gc)."""
-        return sp.diag(self.G, self.Gc)
+        """H, what the loop is made of, and the Casimirs, undifferentiated."""
+        return [self.H, *self.loop.written, *self.casimirs]
 
     def target_balls(self) -> list[arb]:
         """z* = (x*, ξ*)."""

@@ -156,9 +156,11 @@ def _check_names(model: Mapping[str, Any], casimirs: int, inputs: int) -> None:
 
 def _written(model: Mapping[str, Any]) -> list[str]:
     """The expressions of a model."""
-    matrices = [model[key] for key in ("J", "R", "G", "Jc", "Rc", "Gc")]
+    own = ("alpha",) if "gamma" in model else ("Jc", "Rc", "Gc")
+    matrices = [model[key] for key in ("J", "R", "G", *own)]
+    gamma = _texts(model["gamma"]) if "gamma" in model else []
     rows = [row for matrix in matrices for row in matrix] + list(dict(model["domain"]).values())
-    return _texts([model["H"], *(entry for row in rows for entry in _texts(row))])
+    return _texts([model["H"], *gamma, *(entry for row in rows for entry in _texts(row))])
 
 
 def _check_expressions(texts: list[str]) -> None:

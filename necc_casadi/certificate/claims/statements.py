@@ -23,6 +23,7 @@ __all__ = [
     "NO_NEIGHBOURHOOD",
     "NO_REGION",
     "ONLY_STABLE",
+    "SHAPED_STRUCTURE",
     "STRUCTURE",
     "TOO_MANY",
     "Missing",
@@ -44,6 +45,10 @@ __all__ = [
 
 
 STRUCTURE = "J = −Jᵀ, R = Rᵀ ⪰ 0, Jc = −Jcᵀ, Rc = Rcᵀ ⪰ 0 hold exactly for all states"
+
+
+#: Of power shaping: u = −α∇Hc(ξ) + v, ξ̇ = ∇γᵀẋ + v_c make the loop [I; ∇γᵀ](J − R)[I, ∇γ].
+SHAPED_STRUCTURE = "J = −Jᵀ, R = Rᵀ ⪰ 0, (J − R)∇γ = −Gα hold exactly for all states"
 
 
 DAMPING = "the symmetric part of the damping is ≻ 0, in exact arithmetic on the stored numbers"

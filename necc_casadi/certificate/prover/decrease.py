@@ -15,6 +15,7 @@ from necc_casadi.certificate.claims import statements
 from necc_casadi.certificate.claims.claim import Claim
 from necc_casadi.certificate.prover.arithmetic.definite import exactly_positive_definite
 from necc_casadi.designs.design import Design
+from necc_casadi.model.shaped_loop import ShapedLoop
 from necc_casadi.symbolic.derivatives import gradient
 from necc_casadi.symbolic.expressions import to_text
 from necc_casadi.symbolic.identifiers import identifiers
@@ -80,17 +81,21 @@ def casimir_texts(design: Design) -> list[str]:
 
 
 def _structure(design: Design) -> Claim:
-    plant, controller = design.loop.plant, design.loop.controller
-    proved = {
-        "J = −Jᵀ": _is_skew(plant.J),
-        "R = Rᵀ ⪰ 0": _is_dissipative(plant.R),
-        "Jc = −Jcᵀ": _is_skew(controller.Jc),
-        "Rc = Rcᵀ ⪰ 0": _is_dissipative(controller.Rc),
-    }
+    loop, plant, controller = design.loop, design.loop.plant, design.loop.controller
+    proved = {"J = −Jᵀ": _is_skew(plant.J), "R = Rᵀ ⪰ 0": _is_dissipative(plant.R)}
+    if isinstance(loop, ShapedLoop):
+        text = statements.SHAPED_STRUCTURE
+        proved |= {"(J − R)∇γ = −Gα": all(is_zero(entry) for entry in loop.mismatch)}
+    else:
+        text = statements.STRUCTURE
+        proved |= {
+            "Jc = −Jcᵀ": _is_skew(controller.Jc),
+            "Rc = Rcᵀ ⪰ 0": _is_dissipative(controller.Rc),
+        }
     missing = [name for name, holds in proved.items() if not holds]
     if missing:
         return Claim("structure", False, f"held at sampled points only: {', '.join(missing)}")
-    return Claim("structure", True, statements.STRUCTURE)
+    return Claim("structure", True, text)
 
 
 def _is_skew(J: sp.MatrixBase) -> bool:

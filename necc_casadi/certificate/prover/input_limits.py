@@ -1,6 +1,6 @@
 """Input limits: the largest level c_u ≤ c at which |u| provably stays within them on Ω.
 
-u = −Gcᵀ∇Hc − D Gᵀ ∂V/∂x − B Gcᵀ ∂V/∂ξ, [D B] the first m rows of 𝒟. With s the momenta of
+u = −A∇Hc − [D B] 𝒢ᵀ∇V with A = Gcᵀ or α, and [D B] the first m rows of 𝒟. With s the momenta of
 H = ½ sᵀA(y)s + U(y) and y the other states, V(y, s) ≥ V(y, 0) + ½ δ sᵀAs, so by Cauchy–Schwarz
 {V ≤ c} holds |wᵀAs|² ≤ 2(c − V(y, 0)) wᵀAw/δ for every w: the share of the momenta in u is bounded
 on each cell of y by the room that is left below c.
@@ -70,7 +70,7 @@ def clipping_is_covered(design: Design) -> bool:
 def holding_level(
     potential: Potential, cells: Interval, ceiling: float, bottom: float
 ) -> float | None:
-    """The largest proved level up to which −Gcᵀ∇Hc is strictly within the limits of u.
+    """The largest proved level up to which −A∇Hc is strictly within the limits of u.
 
     There clip(−y_c − Dw) = −y_c − ΣDw with 0 ≺ Σ ⪯ I diagonal, w = Gᵀ∂V/∂x, so that whatever is
     said of the loop holds with inputs that are clipped (docs/theory.md#clipped-inputs).
@@ -92,23 +92,30 @@ def _eased(levels: Vector, bottom: float) -> float:
 
 
 def _covered(potential: Potential) -> bool:
-    """Whether momenta enter u through wᵀAs alone, with G a function of the other states."""
+    """Whether momenta enter u through wᵀAs alone, with A and 𝒢 functions of the other states."""
     loop, resting = potential.design.loop, potential.resting
     if not resting:
         return True
     s = [loop.z[i] for i in resting]
-    driven = [i for i in potential.active if i < loop.plant.n and any(loop.plant.G[i, :])]
+    driven = _driven(potential)
     A = sp.hessian(loop.plant.H, s)
     moved = any(A.has(loop.z[i]) for i in driven)
-    seen = bool(driven) or _is_coupled(potential)
-    through_phi = seen and potential.design.form.phi is not None
-    return not (loop.plant.G.has(*s) or moved or through_phi)
+    through_phi = bool(driven) and potential.design.form.phi is not None
+    return not (_used(potential).has(*s) or loop.feedback.has(*s) or moved or through_phi)
 
 
-def _is_coupled(potential: Potential) -> bool:
-    """Whether u sees ∂V/∂ξ."""
-    m = potential.design.loop.plant.m
-    return bool(potential.design.damping[:m, m:].any())
+def _used(potential: Potential) -> sp.ImmutableMatrix:
+    """The columns of 𝒢 that u sees ∇V through: those of v, and of v_c where it is coupled."""
+    loop, damping = potential.design.loop, potential.design.damping
+    m = loop.plant.m
+    columns = [j for j in range(len(damping)) if j < m or damping[:m, j].any()]
+    return sp.ImmutableMatrix(sp.Matrix(loop.ports)[:, columns])
+
+
+def _driven(potential: Potential) -> list[int]:
+    """The states that are no momenta along which u sees ∇V."""
+    used = _used(potential)
+    return [i for i in potential.active if any(used[i, :])]
 
 
 def _halved(boxes: Interval, like: Interval) -> Interval:
@@ -140,23 +147,24 @@ def _levels(potential: Potential, cells: Interval) -> Vector:
 
 
 def _controller_output(potential: Potential, cells: Interval) -> Interval:
-    """Gcᵀ∇Hc, (B, m)."""
-    design = potential.design
-    controller = design.loop.controller
+    """A∇Hc, (B, m)."""
+    design, loop = potential.design, potential.design.loop
+    controller = loop.controller
     xi = cells[:, -controller.nc :]
     ends = np.concatenate([xi.lo, xi.hi], axis=1)
     unique, inverse = np.unique(ends, axis=0, return_inverse=True)
     boxes = Interval(unique[:, : controller.nc], unique[:, controller.nc :])
     weights = design.form.split(design.weights)[0]
-    slope = network_jet(design.form.hc, weights, boxes).grad
-    Gc = matrix_enclosure(sp.Matrix(controller.Gc.T), list(controller.xi), boxes)
-    return matmul(Gc, slope[..., None])[..., 0][inverse.ravel()]
+    slope = network_jet(design.form.hc, weights, boxes).grad[inverse.ravel()]
+    symbols = [loop.z[i] for i in potential.active]
+    gain = matrix_enclosure(sp.Matrix(loop.feedback), symbols, cells)
+    return matmul(gain, slope[..., None])[..., 0]
 
 
 def _passive_output(potential: Potential, cells: Interval, gradient: Interval) -> Interval:
     """[D B] 𝒢ᵀ∇V at rest, without the momenta, (B, m); ∂V/∂ξ does not depend on them."""
-    n, coupled = potential.design.loop.plant.n, _is_coupled(potential)
-    rows = [k for k, i in enumerate(potential.active) if i < n or coupled]
+    driven = set(_driven(potential))
+    rows = [k for k, i in enumerate(potential.active) if i in driven]
     damped = _damped(potential, [potential.active[k] for k in rows], cells)
     return matmul(damped, gradient[:, rows][..., None])[..., 0]
 
@@ -183,6 +191,6 @@ def _momentum_gain(potential: Potential, cells: Interval) -> Interval:
 def _damped(potential: Potential, states: Sequence[int], cells: Interval) -> Interval:
     """[D B] 𝒢ᵀ at some of the states, (B, m, states)."""
     design, m = potential.design, potential.design.loop.plant.m
-    ports = sp.Matrix(design.loop.ports).extract(list(states), range(2 * m))
+    ports = sp.Matrix(design.loop.ports)[list(states), :]
     symbols = [design.loop.z[i] for i in potential.active]
     return matmul(design.damping[:m], matrix_enclosure(sp.Matrix(ports.T), symbols, cells))

@@ -4,7 +4,7 @@
 necc_real necc_margin(const necc_real x[NECC_NX], const necc_real xi[NECC_NXI])
 {
     shape_terms s;
-    necc_real @H@margin;
+    necc_real @H@margin;@held@
     if (!all_finite(x, NECC_NX) || !all_finite(xi, NECC_NXI)@outside@)
         return R(-1.0);
     shape(x, xi, &s);

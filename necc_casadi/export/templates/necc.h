@@ -1,8 +1,6 @@
 /* necc.h: controller of @title@, held at @target@.
  *
- *   (v, vc) = -damping (G' dV/dx, Gc' dV/dxi)
- *   u  = -Gc' grad Hc + v
- *   xi' = (Jc - Rc) grad Hc + Gc (y + vc),  y = G' grad H(x)
+@law@
  *
  * Everything here is reentrant: no heap, no globals, no state but the caller's.
  *

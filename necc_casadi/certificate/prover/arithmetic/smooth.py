@@ -30,11 +30,9 @@ _PERIOD = (0.0, 6.2832)
 
 
 def written(design: Design) -> list[sp.Expr]:
-    """H, the entries of J, R, G, Jc, Rc, Gc and the Casimirs, undifferentiated."""
-    plant, controller = design.loop.plant, design.loop.controller
-    matrices = (plant.J, plant.R, plant.G, controller.Jc, controller.Rc, controller.Gc)
-    entries = [e for matrix in matrices for e in matrix.todok().values()]
-    return [plant.H, *entries, *design.casimirs.functions]
+    """H, the entries of the loop's matrices and the Casimirs, undifferentiated."""
+    entries = [e for matrix in design.loop.matrices for e in matrix.todok().values()]
+    return [design.loop.plant.H, *entries, *design.loop.gamma, *design.casimirs.functions]
 
 
 def is_smooth_on(

@@ -1,0 +1,75 @@
+"""The loops that a design may have, as the checker makes them of what design.json holds."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Protocol
+
+import sympy as sp
+
+__all__ = ["StoredInterconnection", "StoredLoop", "StoredShaping"]
+
+
+class StoredLoop(Protocol):
+    """ż = (Jcl − Rcl)∇(H + Hc) + 𝒢(v, v_c), u = −A∇Hc + v."""
+
+    Jcl: sp.Matrix
+    Rcl: sp.Matrix
+    ports: sp.Matrix  # 𝒢
+    feedback: sp.Matrix  # A, m × nc
+    skew: dict[str, sp.Matrix]  # must be skew-symmetric
+    dissipative: dict[str, sp.Matrix]  # must be symmetric, ⪰ 0
+    zero: dict[str, sp.Matrix]  # must vanish
+    written: list[sp.Expr]  # everything that must be smooth
+
+
+class StoredInterconnection:
+    """The published loop (eq. ClosedLoopSystem)."""
+
+    def __init__(
+        self,
+        J: sp.Matrix,
+        R: sp.Matrix,
+        G: sp.Matrix,
+        Jc: sp.Matrix,
+        Rc: sp.Matrix,
+        Gc: sp.Matrix,
+    ) -> None:
+        coupling = G * Gc.T
+        top, bottom = J.row_join(-coupling), coupling.T.row_join(Jc)
+        self.Jcl, self.Rcl = sp.Matrix(top.col_join(bottom)), sp.diag(R, Rc)
+        self.ports, self.feedback = sp.diag(G, Gc), Gc.T
+        self.skew, self.dissipative = {"J": J, "Jc": Jc}, {"R": R, "Rc": Rc}
+        self.zero: dict[str, sp.Matrix] = {}
+        self.written = [e for matrix in (J, R, G, Jc, Rc, Gc) for e in matrix]
+
+
+class StoredShaping:
+    """The loop of power shaping: ξ̇ = ∇γᵀẋ + v_c and F∇γ = −Gα, F = J − R."""
+
+    def __init__(
+        self,
+        J: sp.Matrix,
+        R: sp.Matrix,
+        G: sp.Matrix,
+        x: Sequence[sp.Symbol],
+        gamma: Sequence[sp.Expr],
+        alpha: sp.Matrix,
+    ) -> None:
+        n, nc = len(x), len(gamma)
+        slopes = sp.Matrix([[sp.diff(g, s) for g in gamma] for s in x])  # n × nc
+        if alpha.shape != (G.cols, nc):
+            raise ValueError("α needs a row for each input and a column for each of γ")
+        through = sp.eye(n).col_join(slopes.T)
+        self.Jcl = (through * J * through.T).applyfunc(_tidy)
+        self.Rcl = (through * R * through.T).applyfunc(_tidy)
+        left, right = G.col_join((slopes.T * G).applyfunc(_tidy)), sp.zeros(n, nc)
+        self.ports = left.row_join(right.col_join(sp.eye(nc)))
+        self.feedback = alpha
+        self.skew, self.dissipative = {"J": J}, {"R": R}
+        self.zero = {"(J − R)∇γ + Gα": (J - R) * slopes + G * alpha}
+        self.written = [e for matrix in (J, R, G, slopes, alpha) for e in matrix] + list(gamma)
+
+
+def _tidy(entry: sp.Expr) -> sp.Expr:
+    return sp.expand(entry) if entry.is_polynomial() else entry
