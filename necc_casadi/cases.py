@@ -10,6 +10,8 @@ __all__ = [
     "CasimirForm",
     "InitialXi",
     "Integrator",
+    "MethodName",
+    "MethodWord",
     "Mode",
     "PhiForm",
     "Precision",
@@ -20,6 +22,14 @@ __all__ = [
 
 #: Of the hidden layers, element-wise.
 Activation = Literal["tanh", "sin", "squareplus"]
+
+
+#: The published loop, and what is done in its place.
+MethodName = Literal["interconnection", "shaping", "modulated", "mechanical", "constant"]
+
+
+#: One of them, or the first that holds the target.
+MethodWord = Literal["auto", "interconnection", "shaping", "modulated", "mechanical", "constant"]
 
 
 #: C = K(Σ βᵢ(cᵢ)) or K(c₁, …, c_r).

@@ -21,6 +21,7 @@ from necc_casadi.casimirs.vocabulary import (
     angles,
     occurring,
     products,
+    rotation_angles,
     times,
     trig_products,
     unique,
@@ -125,7 +126,8 @@ def _proposals(search: CasimirSearch) -> Iterable[tuple[list[sp.Expr], str]]:
 
 def _vocabularies(search: CasimirSearch) -> Iterable[tuple[list[sp.Expr], str]]:
     variables, functions = list(search.support), search.functions
-    single = unique([*variables, *_with_constants(search, variables), *functions])
+    rotations = rotation_angles(sp.Matrix(search.loop.M), search.loop.z)
+    single = unique([*variables, *_with_constants(search, variables), *functions, *rotations])
     yield single, "functions of the model"
     turning = angles(functions)
     trig = trig_products(turning)

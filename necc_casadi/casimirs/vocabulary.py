@@ -10,7 +10,16 @@ import sympy as sp
 from necc_casadi.symbolic.expressions import complexity
 from necc_casadi.symbolic.primitive import primitive
 
-__all__ = ["MOST_WORDS", "angles", "occurring", "products", "times", "trig_products", "unique"]
+__all__ = [
+    "MOST_WORDS",
+    "angles",
+    "occurring",
+    "products",
+    "rotation_angles",
+    "times",
+    "trig_products",
+    "unique",
+]
 
 
 MOST_WORDS = 1100
@@ -45,6 +54,25 @@ def trig_products(angles: Sequence[sp.Expr]) -> list[sp.Expr]:
     choices = [(sp.Integer(1), sp.cos(a), sp.sin(a)) for a in angles]
     words = [sp.Mul(*choice) for choice in product(*choices)]
     return sorted((w for w in words if w != 1), key=lambda w: (len(sp.Mul.make_args(w)), str(w)))
+
+
+def rotation_angles(M: sp.MatrixBase, z: Sequence[sp.Symbol]) -> list[sp.Expr]:
+    """atan(y/x) for the pairs (x, y) that a column of M rotates: ẋ ~ −y, ẏ ~ x, each affine.
+
+    Such as the fluxes of a machine in the frame of its rotor.
+    """
+    found: list[sp.Expr] = []
+    for k in range(M.cols):
+        turning = {i: M[i, k] for i in range(M.rows) if M[i, k].free_symbols}
+        for i, along in turning.items():
+            for j, across in turning.items():
+                slopes = sp.diff(along, z[j]), sp.diff(across, z[i])
+                alone = along.free_symbols == {z[j]} and across.free_symbols == {z[i]}
+                if i < j and alone and slopes[0].is_number and slopes[1].is_number:
+                    ratio = (along / slopes[0]) / (across / slopes[1])
+                    if (slopes[0] * slopes[1]).is_negative:
+                        found += [sp.atan(ratio), sp.atan(1 / ratio)]
+    return unique(found)
 
 
 def occurring(entries: Iterable[sp.Expr], support: Sequence[sp.Symbol]) -> list[sp.Expr]:

@@ -39,7 +39,7 @@ def response_faults(kept: Judged) -> tuple[str, ...]:
 def response_warnings(choice: Choice) -> tuple[str, ...]:
     """What a response has beyond what is claimed, and a minimum of V below that at the target."""
     kept, warnings = choice.kept, []
-    if not kept.response.keeps_limits and kept.fits_limits:
+    if not kept.response.keeps_limits and kept.fits_limits and not kept.clips_freely:
         warnings.append(f"{_beyond_limits(kept)}; it is proved from where they are kept")
     outside = tuple(i for i in _strayed(kept) if i not in _claimed(kept))
     if outside:
@@ -61,7 +61,7 @@ def _claimed(kept: Judged) -> tuple[int, ...]:
     if not strayed or not kept.proved:
         return ()
     starts = kept.response.starts[strayed]
-    xi = np.repeat(kept.design.xi_star[None], len(starts), 0)
+    xi = np.array([kept.design.xi_at_start(row) for row in starts])
     inside = holds(kept.design, kept.certificate, np.concatenate([starts, xi], axis=1))
     return tuple(np.array(strayed)[inside].tolist())
 

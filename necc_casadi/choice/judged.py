@@ -68,10 +68,20 @@ class Judged(Trial):
         )
 
     @property
+    def clips_freely(self) -> bool:
+        """Whether everything that is claimed holds with clipped inputs, from the same states."""
+        return any(
+            claim.holds and claim.data.get("everywhere") is True
+            for claim in self.certificate.claims
+            if claim.name == "clipping"
+        )
+
+    @property
     def fits_limits(self) -> bool:
         """Whether no start asks for more than the inputs' limits, or it is proved from where."""
-        proved = (self.certificate.level_u, self.certificate.level_clipped)
-        return self.response.keeps_limits or any(level is not None for level in proved)
+        names = ("input_limits", "clipping")
+        claims = (claim for claim in self.certificate.claims if claim.name in names)
+        return self.response.keeps_limits or any(claim.holds for claim in claims)
 
 
 def cost_ratio(costs: Vector, others: Vector | None) -> float | None:

@@ -10,7 +10,15 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from necc_casadi.cases import Activation, CasimirForm, Integrator, PhiForm, Precision, Shape
+from necc_casadi.cases import (
+    Activation,
+    CasimirForm,
+    Integrator,
+    MethodWord,
+    PhiForm,
+    Precision,
+    Shape,
+)
 from necc_casadi.cli.console import Progress, echo, echo_json
 from necc_casadi.cli.options import (
     Positive,
@@ -109,6 +117,14 @@ __all__ = ["design_command"]
     help="Φ = H + Hc + C, or a network with Φ₁ > 0 by construction.  [default: sum]",
 )
 @form_option(
+    "--method",
+    type=choice(MethodWord),
+    default="auto",
+    show_default=True,
+    help="How the loop gets its Casimirs. auto: interconnection, the published loop, where it can "
+    "hold the target, else the first of the others that can.",
+)
+@form_option(
     "--structure",
     metavar="NAME",
     help="A controller structure that the tool offered in a note, e.g. resonator.",
@@ -205,7 +221,7 @@ def _design(model: Path, **options: Any) -> int:
       0  every claim is proved (with --check: the target is assignable)
       1  a fault of this program
       2  bad usage, model file or target
-      3  refused with a proof: not assignable with this controller structure
+      3  refused with a proof: not assignable by the methods asked for
       4  undecided, or the solver or a certificate fell short; results are kept
       130  interrupted
 

@@ -21,6 +21,7 @@ from necc_casadi.lyapunov.damping import dissipates
 from necc_casadi.lyapunov.networks import ACTIVATIONS, MonotonePhi, Network
 from necc_casadi.lyapunov.parameterization import Form
 from necc_casadi.model.closed_loop import ClosedLoop
+from necc_casadi.model.control_affine import Preliminary
 from necc_casadi.model.controller import Controller
 from necc_casadi.model.entries import Property
 from necc_casadi.model.plant import Plant
@@ -86,6 +87,7 @@ def to_dict(design: Parts) -> dict[str, Any]:
         "symbols": symbols,
         **{key: text(getattr(plant, key)) for key in ("J", "R", "G", "H")},
         **_controller_text(design.loop, text),
+        **_preliminary_text(plant, text),
         "units": dict(plant.units),
         "domain": {name: text(bounds) for name, bounds in plant.domain.items()},
         "u_limits": plant.u_limits,
@@ -132,6 +134,16 @@ def to_dict(design: Parts) -> dict[str, Any]:
         "learned": None if design.learned is None else asdict(design.learned),
         "weights": _hex(design.weights),
     }
+
+
+_PRELIMINARY = ("f", "g", "u0", "gain")
+
+
+def _preliminary_text(plant: Plant, text: Callable[[Any], Any]) -> dict[str, Any]:
+    """Feedback ahead of the loop, where there is any."""
+    if plant.preliminary is None:
+        return {}
+    return {"preliminary": {key: text(getattr(plant.preliminary, key)) for key in _PRELIMINARY}}
 
 
 def _controller_text(loop: ClosedLoop, text: Callable[[Any], Any]) -> dict[str, Any]:
@@ -264,6 +276,9 @@ def from_dict(data: Mapping[str, Any]) -> Parts:
         else tuple((float(lo), float(hi)) for lo, hi in model["u_limits"]),
         sizes={name: read(size) for name, size in model.get("sizes", {}).items()},
         properties=properties[:split],
+        preliminary=None
+        if "preliminary" not in model
+        else Preliminary(**{key: matrix(model["preliminary"][key]) for key in _PRELIMINARY}),
     )
     if "gamma" in model:
         gamma = read(model["gamma"])

@@ -77,6 +77,7 @@ def _leaves(source: Source) -> list[str]:
     V_z = phi_1 * energy_slope + ca.jacobian(c, z).T @ gamma
     injected = -ca.DM(design.damping) @ (terms.ports(z).T @ V_z)
     u = injected[: source.m] - terms.feedback(z) @ grad_hc
+    u = u if terms.preliminary is None else terms.preliminary(z[: source.n], u)
     s_dot = terms.own_structure(z) @ energy_slope + terms.own_ports(z) @ injected
     c, V_xi, u, s_dot = ca.substitute([c, V_z[source.n :], u, s_dot], [z], [here])
     slopes = {"grad_hc": grad_hc, "gamma": gamma, "phi_1": phi_1}

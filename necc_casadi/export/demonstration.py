@@ -20,7 +20,7 @@ def demonstration(source: Source) -> str:
     """The text of ``main.c``."""
     terms, real = source.design.lyapunov.terms, source.number
     x, u = ca.SX.sym("x", source.n), ca.SX.sym("u", source.m)
-    x_dot = terms.F(x) @ terms.grad_H(x) + terms.G(x) @ u
+    x_dot = terms.drift(x) + terms.directions(x) @ u
     columns = [*source.design.loop.states, *(f"u{i + 1}" for i in range(source.m)), "flags"]
     text = fill(
         "main.c",

@@ -51,7 +51,7 @@ def header(source: Source) -> str:
     text = fill(
         "necc.h",
         title=comment(plant.name),
-        law=_LAWS[source.shaped],
+        law=_law(source),
         target=comment(", ".join(f"{name} = {value:.6g}" for name, value in targets)),
         claims=_claims(source),
         design_hash=design.hash,
@@ -71,6 +71,13 @@ def header(source: Source) -> str:
         guard=f"NECC_DESIGN_{design.hash[:16]}",
     )
     return source.named(text)
+
+
+def _law(source: Source) -> str:
+    law = _LAWS[source.shaped]
+    if source.design.loop.plant.preliminary is None:
+        return law
+    return law.replace(" *   u  =", " *   w  =") + "\n *   u  = u0(x) + B(x) w"
 
 
 def _claims(source: Source) -> str:

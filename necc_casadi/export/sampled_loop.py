@@ -89,8 +89,8 @@ def _linear_parts(design: Design) -> tuple[Vector, ...]:
     terms, law = design.lyapunov.terms, design.lyapunov.control_law_function
     x, xi, u = (ca.MX.sym(s, k) for s, k in (("x", terms.n), ("xi", terms.nc), ("u", terms.m)))
     law_u, law_f = law.call([x, xi])
-    plant = terms.F(x) @ terms.grad_H(x) + terms.G(x) @ u
-    jacobians = [ca.jacobian(plant, x), terms.G(x)]
+    plant = terms.drift(x) + terms.directions(x) @ u
+    jacobians = [ca.jacobian(plant, x), terms.directions(x)]
     jacobians += [ca.jacobian(f, s) for f in (law_u, law_f) for s in (x, xi)]
     z = design.stored_z_bar
     x_bar, xi_bar = z[: terms.n], z[terms.n :]

@@ -66,6 +66,11 @@ def rounding_scales(design: Design) -> ca.Function:
     passive = ca.fabs(terms.ports(z)).T @ (V.phi_slope_function(z) * slope + slopes)
     injected = ca.DM(abs(design.damping)) @ passive
     u = ca.fabs(terms.feedback(z)) @ slope[terms.n :] + injected[: terms.m]
+    if terms.preliminary is not None:
+        x_of, given = z[: terms.n], ca.MX.sym("u", terms.m)
+        gain = ca.jacobian(terms.preliminary(x_of, given), given)
+        u = ca.fabs(ca.substitute(gain, given, u)) @ u
+        u = u + ca.fabs(terms.preliminary(x_of, ca.DM(terms.m, 1)))
     u = u + ca.DM(sizes.input)
     size = ca.DM(sizes.state[terms.n :])
     moved = ca.fabs(terms.own_structure(z)) @ slope + ca.fabs(terms.own_ports(z)) @ injected

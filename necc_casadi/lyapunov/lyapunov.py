@@ -2,7 +2,7 @@
 
 C = K(Σ βᵢ(cᵢ))  or  K(c₁, …, c_r)                         eq. casimir_parameterization
 (v, v_c) = −𝒟 𝒢ᵀ∇V                                        Lemma EnergyCasimirControl
-u  = −A∇Hc + v,  A = Gcᵀ or α
+ũ  = −A∇Hc + v,  A = Gcᵀ or α;  u = ũ, or u₀(x) + B(x)ũ     control_affine.py
 ṡ  = M_s∇(H + Hc) + 𝒢_s(v, v_c),  ξ = s + γ(x)             closed_loop.py, shaped_loop.py
 ż  = (M/Φ₁ − 𝒢𝒟𝒢ᵀ)∇V,  M = Jcl − Rcl                      docs/theory.md#decrease
 
@@ -29,6 +29,7 @@ from necc_casadi.casimirs.casimirs import Casimirs
 from necc_casadi.lyapunov.parameterization import Form
 from necc_casadi.lyapunov.sympy2casadi import casadi_function
 from necc_casadi.model.closed_loop import ClosedLoop
+from necc_casadi.model.plant import Plant
 
 __all__ = ["LyapunovFunction", "Terms", "control_law", "make_terms", "state_rate", "value"]
 
@@ -51,9 +52,10 @@ class Terms:
     r: int  # Casimirs
     H: ca.Function  # x -> 1
     grad_H: ca.Function  # x -> n
-    F: ca.Function  # x -> n × n, J − R
     c: ca.Function  # z -> r
-    G: ca.Function  # x -> n × m
+    drift: ca.Function  # x -> n, f of ẋ = f + g u
+    directions: ca.Function  # x -> n × m, g
+    preliminary: ca.Function | None  # (x, ũ) -> u; None: u = ũ
     M: ca.Function  # z -> (n + nc) × (n + nc), Jcl − Rcl
     ports: ca.Function  # z -> (n + nc) × (m + channels), 𝒢
     feedback: ca.Function  # z -> m × nc, A
@@ -74,9 +76,10 @@ def make_terms(loop: ClosedLoop, casimirs: Casimirs) -> Terms:
         r=len(casimirs.functions),
         H=casadi_function("H", plant.x, [plant.H]),
         grad_H=casadi_function("grad_H", plant.x, plant.grad_H),
-        F=casadi_function("F", plant.x, plant.J - plant.R),
         c=casadi_function("c", loop.z, list(casimirs.functions)),
-        G=casadi_function("G", plant.x, plant.G),
+        drift=_drift(plant),
+        directions=casadi_function("directions", plant.x, plant.directions),
+        preliminary=_preliminary(plant),
         M=casadi_function("M", loop.z, loop.M),
         ports=casadi_function("ports", loop.z, loop.ports),
         feedback=casadi_function("feedback", loop.z, loop.feedback),
@@ -85,6 +88,26 @@ def make_terms(loop: ClosedLoop, casimirs: Casimirs) -> Terms:
         own_structure=casadi_function("own_structure", loop.z, loop.own_structure),
         own_ports=casadi_function("own_ports", loop.z, loop.own_ports),
     )
+
+
+def _drift(plant: Plant) -> ca.Function:
+    """X -> f(x); (J − R) times ∇H is left a product."""
+    if plant.preliminary is not None:
+        return casadi_function("drift", plant.x, plant.preliminary.f)
+    x = ca.SX.sym("x", plant.n)
+    F = casadi_function("F", plant.x, plant.J - plant.R)
+    grad_H = casadi_function("grad_H", plant.x, plant.grad_H)
+    return ca.Function("drift", [x], [F(x) @ grad_H(x)])
+
+
+def _preliminary(plant: Plant) -> ca.Function | None:
+    """(x, ũ) -> u₀ + Bũ."""
+    if plant.preliminary is None:
+        return None
+    x, given = ca.SX.sym("x", plant.n), ca.SX.sym("u", plant.m)
+    u0 = casadi_function("u0", plant.x, plant.preliminary.u0)
+    gain = casadi_function("gain", plant.x, plant.preliminary.gain)
+    return ca.Function("preliminary", [x, given], [u0(x) + gain(x) @ given])
 
 
 def value(
@@ -120,7 +143,7 @@ def control_law(
     s_dot = terms.own_structure(z) @ slope + terms.own_ports(z) @ injected
     here = ca.vertcat(x, s + terms.gamma(x))
     u, s_dot = ca.substitute([u, s_dot], [z], [here])
-    return u, s_dot
+    return (u if terms.preliminary is None else terms.preliminary(x, u)), s_dot
 
 
 def state_rate(terms: Terms, x: ca.MX, x_dot: ca.MX, s_dot: ca.MX) -> ca.MX:
@@ -243,7 +266,7 @@ class LyapunovFunction:
         terms, z = self.terms, self._z()
         x, xi = z[: terms.n], z[terms.n :]
         u, s_dot = self.control_law_function.call([x, xi - terms.gamma(x)])
-        x_dot = terms.F(x) @ terms.grad_H(x) + terms.G(x) @ u
+        x_dot = terms.drift(x) + terms.directions(x) @ u
         return ca.Function("motion", [z], [u, state_rate(terms, x, x_dot, s_dot)])
 
     def _z(self) -> ca.MX:

@@ -14,7 +14,7 @@ __all__ = ["opened_at_the_input", "plant_dynamics", "plant_linearisation"]
 def plant_dynamics(terms: Terms) -> ca.Function:
     """(x, u) -> ẋ = (J − R)∇H + G u (eq. Plant)."""
     x, u = ca.SX.sym("x", terms.n), ca.SX.sym("u", terms.m)
-    x_dot = terms.F(x) @ terms.grad_H(x) + terms.G(x) @ u
+    x_dot = terms.drift(x) + terms.directions(x) @ u
     return ca.Function("plant", [x, u], [x_dot], ["x", "u"], ["x_dot"])
 
 

@@ -3,17 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
 
+from necc_casadi.cases import MethodName
 from necc_casadi.casimirs.casimirs import Casimirs
 from necc_casadi.model.closed_loop import ClosedLoop
 from necc_casadi.verdict.verdict import Verdict
 
-__all__ = ["Method", "MethodName", "Refusal"]
-
-
-#: The published loop, and what is done in its place.
-MethodName = Literal["interconnection", "shaping", "modulated", "mechanical", "constant"]
+__all__ = ["Method", "Refusal"]
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,16 +18,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from functools import cached_property
 
 import sympy as sp
 
 from necc_casadi.casimirs.casimirs import Casimirs
 from necc_casadi.casimirs.find import find_casimirs
 from necc_casadi.casimirs.integrability import potential
+from necc_casadi.methods.flow import Flow
 from necc_casadi.methods.method import Method, Refusal
-from necc_casadi.model.closed_loop import ClosedLoop
-from necc_casadi.model.controller import Controller
 from necc_casadi.model.plant import Plant
 from necc_casadi.model.shaped_loop import ShapedLoop, shaped_loop
 from necc_casadi.symbolic.derivatives import gradient
@@ -88,24 +86,9 @@ def shaping_functions(plant: Plant, x_star: Mapping[sp.Symbol, sp.Expr]) -> Casi
 
     ∇γ = −F⁻¹G, which has α = I, is tried first.
     """
-    flow = _UnactuatedFlow(plant, _no_controller())
-    return find_casimirs(flow, _by_inversion(plant), x_star)
-
-
-class _UnactuatedFlow(ClosedLoop):
-    """Vector fields whose first integrals are the shaping functions: the columns of FᵀG⊥ᵀ."""
-
-    @cached_property
-    def M(self) -> sp.ImmutableMatrix:
-        """FᵀG⊥ᵀ, n × (n − m)."""
-        plant = self.plant
-        F = sp.Matrix(plant.J - plant.R)
-        return sp.ImmutableMatrix((F.T * kernel(sp.Matrix(plant.G.T))).applyfunc(tidy))
-
-
-def _no_controller() -> Controller:
-    none = sp.ImmutableMatrix(sp.zeros(0, 0))
-    return Controller((), none, none, none)
+    F = sp.Matrix(plant.J - plant.R)
+    fields = (F.T * kernel(sp.Matrix(plant.G.T))).applyfunc(tidy)
+    return find_casimirs(Flow.of(plant.x, fields, plant.H), _by_inversion(plant), x_star)
 
 
 def _by_inversion(plant: Plant) -> list[sp.Expr]:
@@ -114,8 +97,8 @@ def _by_inversion(plant: Plant) -> list[sp.Expr]:
     if not F.free_symbols or sum(e.count_ops() for e in F) > _MOST_OPERATIONS:
         return []  # for a constant F linear functions are all there is
     try:
-        slopes = -F.LUsolve(sp.Matrix(plant.G)).applyfunc(sp.cancel)
-    except (ValueError, ZeroDivisionError, sp.PolynomialError):  # F is singular
+        slopes = -F.LUsolve(sp.Matrix(plant.G)).applyfunc(tidy)
+    except (ValueError, ZeroDivisionError):  # F is singular
         return []
     columns = (list(slopes[:, j]) for j in range(slopes.cols))
     found = [potential(column, plant.x) for column in columns]
@@ -125,7 +108,7 @@ def _by_inversion(plant: Plant) -> list[sp.Expr]:
 def _alpha(plant: Plant, gamma: sp.Expr) -> sp.Matrix | None:
     """α with F∇γ = −Gα, m × 1; None where that is not proved."""
     G, drive = sp.Matrix(plant.G), (plant.J - plant.R) * gradient(gamma, plant.x)
-    alpha = -((G.T * G).inv() * G.T * drive).applyfunc(tidy)
+    alpha = sp.Matrix(-((G.T * G).inv() * G.T * drive).applyfunc(tidy))
     if all(is_zero(entry) is True for entry in drive + G * alpha):
         return alpha
     return None
@@ -139,9 +122,13 @@ def _normalised(acting: Sequence[tuple[sp.Expr, sp.Matrix]]) -> tuple[list[sp.Ex
         try:
             inverse = alpha.inv()
         except ValueError:  # singular
-            return list(gamma), alpha
-        return list((gamma * inverse).applyfunc(sp.expand)), sp.eye(alpha.rows)
-    return list(gamma), alpha
+            return [_without_constant(g) for g in gamma], alpha
+        gamma, alpha = (gamma * inverse).applyfunc(sp.expand), sp.eye(alpha.rows)
+    return [_without_constant(g) for g in gamma], alpha
+
+
+def _without_constant(g: sp.Expr) -> sp.Expr:
+    return g.as_independent(*g.free_symbols, as_Add=True)[1]
 
 
 def _loop_casimirs(loop: ShapedLoop, own: Sequence[sp.Expr], found: Casimirs) -> Casimirs:

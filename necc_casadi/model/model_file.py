@@ -1,6 +1,7 @@
 """A user's model file to Plant and Controller; every number in it is taken as exact.
 
-A model file is Python and runs as the user's own code. Only ``x, J, R, G, H`` are required.
+A model file is Python and runs as the user's own code. Only ``x, J, R, G, H`` are required; a plant
+without such a form gives ``x, f, G``, one with inputs in J or R names them in ``u``.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ import traceback
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -21,8 +23,15 @@ import sympy as sp
 from necc_casadi.arrays import Vector
 from necc_casadi.errors import InputError, ModelError, OptionError
 from necc_casadi.model.closed_loop import ClosedLoop, interconnect
+from necc_casadi.model.control_affine import ControlAffine
 from necc_casadi.model.controller import Controller, default_controller, make_controller
 from necc_casadi.model.cost import weight_matrix
+from necc_casadi.model.modulated import (
+    Modulated,
+    System,
+    make_control_affine,
+    make_modulated,
+)
 from necc_casadi.model.plant import Plant, make_plant
 from necc_casadi.model.sizes import input_names
 from necc_casadi.symbolic.expressions import exact, parse_number
@@ -35,9 +44,13 @@ __all__ = ["Model", "damping_matrix", "load_model"]
 _REQUIRED = ("x", "J", "R", "G", "H")
 
 
+#: A plant without an energy.
+_AFFINE = ("x", "f", "G")
+
+
 _OPTIONAL = (
     "params", "xi", "Jc", "Rc", "Gc", "casimirs", "target", "domain", "sizes", "D", "Dc",
-    "u_limits", "units", "name", "state_cost", "input_cost",
+    "u_limits", "units", "name", "state_cost", "input_cost", "u", "E", "f",
 )  # fmt: skip
 
 
@@ -62,7 +75,8 @@ class Model:
     (True, True)
     """
 
-    loop: ClosedLoop
+    system: System
+    controller: Controller | None = None  # None: one integrator per input
     casimirs: tuple[sp.Expr, ...] = ()  # supplied by the user, not yet proved
     target: Mapping[str, sp.Expr] | None = None  # state -> value
     D: Vector | None = None  # m × m
@@ -71,6 +85,24 @@ class Model:
     input_cost: Vector | None = None  # m × m, ≻ 0
     params: Mapping[str, sp.Expr] = field(default_factory=dict)  # values, exact
     notes: tuple[str, ...] = ()  # names in the file that look mistyped
+
+    @cached_property
+    def loop(self) -> ClosedLoop:
+        """The published loop of plant and controller.
+
+        Raises
+        ------
+        ModelError
+            ``model_file`` where the file gives no J(x), R(x), G and H.
+        """
+        if not isinstance(self.system, Plant):
+            raise ModelError(
+                "model_file",
+                f"{self.system.name} has no J, R and H of the states alone",
+                "Call find_method for the loop that holds its target.",
+            )
+        controller = self.controller or default_controller(self.system)
+        return interconnect(self.system, controller)
 
 
 def load_model(path: str | Path, overrides: Mapping[str, str] | None = None) -> Model:
@@ -105,12 +137,12 @@ def load_model(path: str | Path, overrides: Mapping[str, str] | None = None) -> 
     """
     path = Path(path)
     space = _execute(path)
-    missing = [name for name in _REQUIRED if name not in space]
+    missing = _missing(space)
     if missing:
         raise ModelError(
             "model_file",
             f"{path.name} does not define {', '.join(missing)}",
-            "A model file defines x, J, R, G and H with sympy.",
+            "A model file defines x, J, R, G and H with sympy (or x, f and G).",
         )
     try:
         return replace(_build(path, space, overrides or {}), notes=_mistyped(space))
@@ -122,6 +154,27 @@ def load_model(path: str | Path, overrides: Mapping[str, str] | None = None) -> 
             f"{path.name}: a name has a value of the wrong kind ({' '.join(str(problem).split())})",
             "Compare it with examples/pendulum.py.",
         ) from None
+
+
+def _missing(space: Mapping[str, Any]) -> list[str]:
+    """The names that a model needs and this one lacks."""
+    if "f" in space and not {"J", "R", "H"} & set(space):
+        return [name for name in _AFFINE if name not in space]
+    without = {"G"} if _inputs_inside(space) else set()
+    return [name for name in _REQUIRED if name not in {*space, *without}]
+
+
+def _inputs_inside(space: Mapping[str, Any]) -> tuple[sp.Symbol, ...]:
+    """The symbols that `u` names, where it names some; another u is the file's own affair."""
+    value = space.get("u")
+    symbols = value if isinstance(value, (tuple, list)) else (value,)
+    return tuple(symbols) if all(isinstance(s, sp.Symbol) for s in symbols) else ()
+
+
+def _source(space: Mapping[str, Any]) -> Any:
+    """The constant source `E`; another E, such as a modulus, is the file's own affair."""
+    value = space.get("E")
+    return value if isinstance(value, (sp.MatrixBase, list, tuple, np.ndarray)) else None
 
 
 def _execute(path: Path) -> dict[str, Any]:
@@ -175,25 +228,19 @@ def _mistyped(space: Mapping[str, Any]) -> tuple[str, ...]:
 
 def _build(path: Path, space: dict[str, Any], overrides: Mapping[str, str]) -> Model:
     file = _Reader(space, overrides)
-    plant = make_plant(
-        [_real(s) for s in file.states],
-        *(file.attempt(name) for name in ("J", "R", "G", "H")),
-        name=_printable(str(space.get("name", escaped(path.stem))), "name"),
-        units={
-            name: _printable(str(unit), f"units[{escaped(name)}]")
-            for name, unit in file.table("units").items()
-        },
-        u_limits=_limits(file),
-    )
-    loop = interconnect(plant, _controller(plant, file))
+    plant = _plant(path, file)
+    controller = _controller(plant, file) if isinstance(plant, Plant) else None
+    inner = () if controller is None else controller.states
+    states = (*plant.states, *inner)
     plant = replace(
         plant,
-        domain=_domain(file, loop.states),
-        sizes=_sizes(file, (*loop.states, *input_names(plant.m))),
+        domain=_domain(file, states),
+        sizes=_sizes(file, (*states, *input_names(plant.m))),
     )
     named = "target" in space and space["target"] is not None
     return Model(
-        loop=replace(loop, plant=plant),
+        system=plant,
+        controller=controller,
         casimirs=tuple(file.read(c) for c in space.get("casimirs", ())),
         target={k: file.read(v) for k, v in file.table("target").items()} if named else None,
         D=_damping(file, "D", plant.m),
@@ -204,6 +251,37 @@ def _build(path: Path, space: dict[str, Any], overrides: Mapping[str, str]) -> M
     )
 
 
+def _plant(path: Path, file: _Reader) -> System:
+    """The plant, in the form that the file gives it."""
+    space, x, limits = file.space, [_real(s) for s in file.states], _limits(file)
+    about: dict[str, Any] = {
+        "name": _printable(str(space.get("name", escaped(path.stem))), "name"),
+        "units": {
+            name: _printable(str(unit), f"units[{escaped(name)}]")
+            for name, unit in file.table("units").items()
+        },
+        "u_limits": limits,
+    }
+    if "J" not in space:
+        plant: Modulated | ControlAffine = make_control_affine(
+            x, file.attempt("f"), file.attempt("G"), **about
+        )
+    elif file.inputs or _source(space) is not None:
+        E = None if _source(space) is None else file.read(_source(space))
+        G = file.attempt("G") if "G" in space else None
+        J, R, H = (file.attempt(name) for name in ("J", "R", "H"))
+        plant = make_modulated(x, [_real(s) for s in file.inputs], J, R, G, E, H, **about)
+    else:
+        return make_plant(x, *(file.attempt(name) for name in ("J", "R", "G", "H")), **about)
+    if limits is not None and len(limits) != plant.m:
+        raise ModelError(
+            "limits",
+            f"u_limits has {len(limits)} entries, but there are {plant.m} inputs",
+            "Give one (lo, hi) pair per input.",
+        )
+    return plant
+
+
 class _Reader:
     """The values of a model file: exact, of real symbols, with parameters as their values."""
 
@@ -211,13 +289,19 @@ class _Reader:
         self.space = space
         self.states = _symbols(space["x"], "x")
         self.xi = _symbols(space.get("xi", ()), "xi")
+        self.inputs = [s for s in _inputs_inside(space) if self._stands_inside(s)]
         own = {str(s) for s in self._own}
         self.parameters = _parameters(self.table("params"), own, overrides)
         self._values = {s: self.parameters.get(str(s), _real(s)) for s in self._occurring()}
 
+    def _stands_inside(self, symbol: sp.Symbol) -> bool:
+        """Whether a symbol stands in J or R."""
+        matrices = (self.space.get(name) for name in "JR")
+        return any(isinstance(A, sp.MatrixBase) and A.has(symbol) for A in matrices)
+
     @property
     def _own(self) -> list[sp.Symbol]:
-        return [*self.states, *self.xi]
+        return [*self.states, *self.xi, *self.inputs]
 
     def _occurring(self) -> set[sp.Symbol]:
         """Every symbol that occurs in the file."""

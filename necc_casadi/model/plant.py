@@ -9,6 +9,7 @@ from functools import cached_property
 import sympy as sp
 
 from necc_casadi.errors import ModelError
+from necc_casadi.model.control_affine import Equilibria, Preliminary
 from necc_casadi.model.entries import (
     Property,
     check_states,
@@ -18,17 +19,17 @@ from necc_casadi.model.entries import (
     square_matrix,
 )
 from necc_casadi.symbolic.derivatives import gradient
-from necc_casadi.symbolic.linear_algebra import kernel
 
 __all__ = ["Plant", "make_plant"]
 
 
 @dataclass(frozen=True, eq=False)
-class Plant:
+class Plant(Equilibria):
     """A port-Hamiltonian plant, exact and checked (eq. Plant).
 
     Build one with :func:`make_plant`, which checks the structure. Quantities are in the units of
-    the model.
+    the model. With preliminary feedback u = u₀(x) + B(x)ũ, J, R, G and H are the target structure
+    that ũ sees; limits, sizes and units are those of u.
 
     References
     ----------
@@ -58,42 +59,27 @@ class Plant:
     u_limits: tuple[tuple[float, float], ...] | None = None  # (m,) pairs
     sizes: Mapping[str, sp.Expr] = field(default_factory=dict)  # name of a state or input -> size
     properties: tuple[Property, ...] = ()
-
-    @property
-    def n(self) -> int:
-        """Number of states."""
-        return len(self.x)
-
-    @property
-    def m(self) -> int:
-        """Number of inputs."""
-        return int(self.G.cols)
-
-    @cached_property
-    def states(self) -> tuple[str, ...]:
-        """Names of the states, in order."""
-        return tuple(str(s) for s in self.x)
+    preliminary: Preliminary | None = None
 
     @cached_property
     def grad_H(self) -> sp.ImmutableMatrix:
         """∇H, n × 1."""
         return gradient(self.H, self.x)
 
-    @cached_property
-    def equilibrium_equations(self) -> tuple[sp.Expr, ...]:
-        """G⊥(J − R)∇H, the residuals that no constant input can cancel; zero ones dropped."""
-        annihilator = kernel(sp.Matrix(self.G.T)).T
-        residual = annihilator * ((self.J - self.R) * self.grad_H)
-        # simplify() is slow, and polynomials do not need it
-        tidied = (sp.expand(row) if row.is_polynomial() else sp.simplify(row) for row in residual)
-        equations = (sp.numer(sp.together(row)) for row in tidied)
-        return tuple(row for row in equations if row != 0)
+    @property
+    def flow(self) -> sp.ImmutableMatrix:
+        """(J − R)∇H, n × 1."""
+        return sp.ImmutableMatrix((self.J - self.R) * self.grad_H)
 
-    def holding_input(self, x_star: Mapping[sp.Symbol, sp.Expr]) -> sp.Matrix:
-        """The constant input u* with (J − R)∇H + G u* = 0 at an equilibrium, m × 1."""
-        G = sp.Matrix(self.G.subs(x_star))
-        drift = sp.Matrix(((self.J - self.R) * self.grad_H).subs(x_star))
-        return -(G.T * G).LUsolve(G.T * drift)
+    @property
+    def drift(self) -> sp.ImmutableMatrix:
+        """F of ẋ = f + g u, n × 1; (J − R)∇H where nothing is fed back ahead of the loop."""
+        return self.flow if self.preliminary is None else self.preliminary.f
+
+    @property
+    def directions(self) -> sp.ImmutableMatrix:
+        """g, n × m; G where nothing is fed back ahead of the loop."""
+        return self.G if self.preliminary is None else self.preliminary.g
 
 
 def make_plant(

@@ -4,7 +4,8 @@ With z = S ẑ, t = T τ, H = E Ĥ, u = U û and y = (E/TU) ŷ the loop keeps it
 Controller, PlantControllerInterconnection):
 
     Ĥ(x̂) = H(Sx̂)/E,  Ĵ = TE S⁻¹JS⁻¹ (R, Jc, Rc alike),  Ĝ = T S⁻¹GU,  Ĝc = E S⁻¹Gc U⁻¹;
-    of power shaping γ̂ = S⁻¹γ(Sx̂),  α̂ = E U⁻¹αS⁻¹,  v̂_c = T S⁻¹v_c.
+    of power shaping γ̂ = S⁻¹γ(Sx̂),  α̂ = E U⁻¹αS⁻¹,  v̂_c = T S⁻¹v_c;
+    of preliminary feedback  f̂ = T S⁻¹f,  ĝ = T S⁻¹gU,  û₀ = U⁻¹u₀,  B̂ = U⁻¹BU.
 
 Powers of two make every number of the new loop the old one with another exponent.
 """
@@ -18,12 +19,13 @@ import sympy as sp
 
 from necc_casadi.arrays import Vector
 from necc_casadi.model.closed_loop import ClosedLoop
+from necc_casadi.model.control_affine import ControlAffine, Equilibria, Preliminary
 from necc_casadi.model.controller import Controller
 from necc_casadi.model.plant import Plant
 from necc_casadi.model.shaped_loop import ShapedLoop
 from necc_casadi.model.sizes import Sizes, input_names
 
-__all__ = ["exactly", "rescaled_functions", "rescaled_loop"]
+__all__ = ["exactly", "rescaled_functions", "rescaled_loop", "rescaled_motion"]
 
 
 def exactly(values: Vector) -> list[sp.Rational]:
@@ -62,6 +64,14 @@ def rescaled_loop(loop: ClosedLoop, units: Sizes) -> ClosedLoop:
         ),
         sizes=_sizes(loop, units),
         properties=plant.properties,
+        preliminary=None
+        if plant.preliminary is None
+        else Preliminary(
+            f=_entries(plant.preliminary.f, scale, lambda i, j: time / rows[i]),
+            g=_entries(plant.preliminary.g, scale, lambda i, j: time * u[j] / rows[i]),
+            u0=_entries(plant.preliminary.u0, scale, lambda i, j: 1 / u[i]),
+            gain=_entries(plant.preliminary.gain, scale, lambda i, j: u[j] / u[i]),
+        ),
     )
     if isinstance(loop, ShapedLoop):
         pairs = zip(loop.shaping, inner, strict=True)
@@ -80,6 +90,19 @@ def rescaled_loop(loop: ClosedLoop, units: Sizes) -> ClosedLoop:
             Gc=_entries(controller.Gc, scale, lambda i, j: energy / (inner[i] * u[j])),
             properties=controller.properties,
         ),
+    )
+
+
+def rescaled_motion(system: Equilibria, units: Sizes) -> ControlAffine:
+    """ẋ = f + g u in `units`, of which those of x, u and the time count."""
+    time = exactly(np.array([units.time]))[0]
+    rows, u = exactly(units.state[: system.n]), exactly(units.input)
+    scale = {s: size * s for s, size in zip(system.x, rows, strict=True) if size != 1}
+    return ControlAffine(
+        name="",
+        x=system.x,
+        f=_entries(system.drift, scale, lambda i, j: time / rows[i]),
+        g=_entries(system.directions, scale, lambda i, j: time * u[j] / rows[i]),
     )
 
 

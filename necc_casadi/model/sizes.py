@@ -221,11 +221,12 @@ class _Local:
     def of(cls, plant: Plant, x_star: Mapping[sp.Symbol, sp.Expr]) -> _Local:
         pairs = zip(plant.grad_H, plant.x, strict=True)
         second = sp.Matrix([sp.diff(slope, s) for slope, s in pairs])
-        slope, curvature, M, G = (
+        slope, curvature, M, G, drift = (
             _numbers(at(sp.Matrix(matrix), x_star))
-            for matrix in (plant.grad_H, second, plant.J - plant.R, plant.G)
-        )
-        drift = M @ slope
+            for matrix in (
+                plant.grad_H, second, plant.J - plant.R, plant.directions, plant.drift
+            )
+        )  # fmt: skip
         scale = np.abs(M) @ np.abs(slope)
         force = np.where(np.abs(drift) > _ROUNDING * scale, drift, 0.0).ravel()
         holding = np.array([_least_squares(G[:, k], force) for k in range(plant.m)])

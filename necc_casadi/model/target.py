@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import sympy as sp
 
 from necc_casadi.arrays import Vector
 from necc_casadi.errors import TargetError
-from necc_casadi.model.plant import Plant
+from necc_casadi.model.control_affine import ControlAffine, Equilibria
 from necc_casadi.symbolic.expressions import parse_number
 from necc_casadi.symbolic.floats import to_floats
 from necc_casadi.symbolic.linear_algebra import kernel
@@ -31,7 +31,7 @@ _RELATIVE = 1e-9
 _CONVERGED, _NEWTON_STEPS, _SCALINGS = 1e-12, 60, 8
 
 
-def parse_target(plant: Plant, text: str) -> dict[sp.Symbol, sp.Expr]:
+def parse_target(plant: Equilibria, text: str) -> dict[sp.Symbol, sp.Expr]:
     """x* from ``pi/4``, ``q=pi/4``, ``q1=pi/4,q2=-pi/3`` or all states in order.
 
     Parameters
@@ -75,7 +75,7 @@ def parse_target(plant: Plant, text: str) -> dict[sp.Symbol, sp.Expr]:
     return solve_target(plant, dict(zip(_free_for(plant, len(values), text), values, strict=True)))
 
 
-def target_from_model(plant: Plant, given: Mapping[str, sp.Expr]) -> dict[sp.Symbol, sp.Expr]:
+def target_from_model(plant: Equilibria, given: Mapping[str, sp.Expr]) -> dict[sp.Symbol, sp.Expr]:
     """x* from the ``target`` of a model file, {state: value}.
 
     Raises
@@ -115,7 +115,7 @@ def _number(text: str, label: str = "--target") -> sp.Expr:
     return parse_number(text, label, "target_value", TargetError)
 
 
-def _named_values(plant: Plant, entries: list[str]) -> dict[sp.Symbol, sp.Expr]:
+def _named_values(plant: Equilibria, entries: list[str]) -> dict[sp.Symbol, sp.Expr]:
     symbols = dict(zip(plant.states, plant.x, strict=True))
     given: dict[sp.Symbol, sp.Expr] = {}
     for entry in entries:
@@ -134,7 +134,7 @@ def _named_values(plant: Plant, entries: list[str]) -> dict[sp.Symbol, sp.Expr]:
     return given
 
 
-def _free_for(plant: Plant, count: int, text: str) -> list[sp.Symbol]:
+def _free_for(plant: Equilibria, count: int, text: str) -> list[sp.Symbol]:
     """The coordinates that `count` bare values stand for."""
     free, dimension = free_coordinates(plant)
     names = ", ".join(map(str, free))
@@ -155,7 +155,7 @@ def _free_for(plant: Plant, count: int, text: str) -> list[sp.Symbol]:
     )
 
 
-def free_coordinates(plant: Plant) -> tuple[list[sp.Symbol], int]:
+def free_coordinates(plant: Equilibria) -> tuple[list[sp.Symbol], int]:
     """Coordinates that vary along the equilibrium set, and the dimension of that set.
 
     Read off the kernel of the equilibrium equations' Jacobian at equilibria found from several
@@ -179,7 +179,7 @@ def free_coordinates(plant: Plant) -> tuple[list[sp.Symbol], int]:
     return [s for s, v in zip(plant.x, varies, strict=True) if v], dimension
 
 
-def _equilibrium_equations(plant: Plant) -> tuple[sp.Expr, ...]:
+def _equilibrium_equations(plant: Equilibria) -> tuple[sp.Expr, ...]:
     """Those of the plant; constants of G that may or may not be 0 are taken not to be.
 
     The verdict on the target looks at G as it is.
@@ -187,10 +187,10 @@ def _equilibrium_equations(plant: Plant) -> tuple[sp.Expr, ...]:
     try:
         return plant.equilibrium_equations
     except Undecided:
-        unknown = [e for e in plant.G if e.is_number and is_zero(e) is None]
-        acting = plant.G.xreplace(dict.fromkeys(unknown, sp.Integer(1)))
+        unknown = [e for e in plant.directions if e.is_number and is_zero(e) is None]
+        acting = plant.directions.xreplace(dict.fromkeys(unknown, sp.Integer(1)))
     try:
-        return replace(plant, G=acting).equilibrium_equations
+        return ControlAffine("", plant.x, plant.drift, acting).equilibrium_equations
     except Undecided:
         return ()
 
@@ -232,7 +232,7 @@ class _Equations:
     jacobian: Callable[[Vector], Vector]
 
 
-def _equations(plant: Plant) -> _Equations:
+def _equations(plant: Equilibria) -> _Equations:
     equations = sp.Matrix(_equilibrium_equations(plant))
     if not equations:
         return _Equations(lambda x: np.zeros(0), lambda x: np.zeros((0, plant.n)))
@@ -259,12 +259,12 @@ def _project(equations: _Equations, x: Vector) -> Vector | None:
     return None
 
 
-def nearest_equilibrium(plant: Plant, x_star: Mapping[sp.Symbol, sp.Expr]) -> Vector | None:
+def nearest_equilibrium(plant: Equilibria, x_star: Mapping[sp.Symbol, sp.Expr]) -> Vector | None:
     """The equilibrium that Gauss–Newton finds from x*, (n,), to suggest it; None if none."""
     return _project(_equations(plant), to_floats(x_star[s] for s in plant.x))
 
 
-def solve_target(plant: Plant, given: Mapping[sp.Symbol, sp.Expr]) -> dict[sp.Symbol, sp.Expr]:
+def solve_target(plant: Equilibria, given: Mapping[sp.Symbol, sp.Expr]) -> dict[sp.Symbol, sp.Expr]:
     """Solve the equilibrium equations for the states that are not in `given`.
 
     Where they have no solution the missing states become 0: the verdict says why the target
@@ -304,7 +304,7 @@ def _short(value: sp.Expr) -> str:
 
 
 def _solutions(
-    plant: Plant, given: Mapping[sp.Symbol, sp.Expr], unknown: list[sp.Symbol]
+    plant: Equilibria, given: Mapping[sp.Symbol, sp.Expr], unknown: list[sp.Symbol]
 ) -> list[dict[sp.Symbol, sp.Expr]]:
     """All real solutions; linear equations first, then sympy's solver on what remains."""
     equations = [sp.simplify(e.subs(given)) for e in _equilibrium_equations(plant)]

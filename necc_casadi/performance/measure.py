@@ -9,7 +9,7 @@ import numpy as np
 
 from necc_casadi.arrays import Vector
 from necc_casadi.designs.design import Design
-from necc_casadi.model.closed_loop import ClosedLoop
+from necc_casadi.model.control_affine import Equilibria
 from necc_casadi.model.cost import QuadraticCost, bryson
 from necc_casadi.performance.closed_loop_cost import (
     Responses,
@@ -102,7 +102,7 @@ def measure(
     starts: Sequence[Vector] | None = None,
     optimum: bool = True,
     seed: int = 1,
-    others: Mapping[str, ClosedLoop] | None = None,
+    others: Mapping[str, Equilibria] | None = None,
 ) -> Performance:
     """Measure a design from random starts, inputs within the limits of the model.
 
@@ -119,7 +119,7 @@ def measure(
     seed
         Of the random starts.
     others
-        Loops with another plant to hold at the target, by the name of what is changed.
+        Other plants to hold at the target, by the name of what is changed.
     """
     cost = bryson(design.sizes, design.loop.plant.n) if cost is None else cost
     starts = random_starts(design, STARTS, seed) if starts is None else list(starts)
@@ -205,7 +205,7 @@ def _curve(name: str, found: Responses, design: Design) -> Curve:
     )
 
 
-def _errors(design: Design, others: Mapping[str, ClosedLoop]) -> Errors:
+def _errors(design: Design, others: Mapping[str, Equilibria]) -> Errors:
     size = design.sizes.state[: design.loop.plant.n]
 
     def in_model(error: Vector | None) -> Vector | None:
@@ -213,7 +213,7 @@ def _errors(design: Design, others: Mapping[str, ClosedLoop]) -> Errors:
 
     return Errors(
         in_model(disturbed_error(design, DISTURBANCE)),
-        {name: in_model(perturbed_error(design, loop)) for name, loop in others.items()},
+        {name: in_model(perturbed_error(design, plant)) for name, plant in others.items()},
     )
 
 

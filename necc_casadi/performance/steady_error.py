@@ -7,9 +7,9 @@ import numpy as np
 
 from necc_casadi.arrays import Vector
 from necc_casadi.designs.design import Design
-from necc_casadi.lyapunov.lyapunov import Terms, make_terms
-from necc_casadi.model.closed_loop import ClosedLoop
-from necc_casadi.model.rescale import rescaled_loop
+from necc_casadi.lyapunov.sympy2casadi import casadi_function
+from necc_casadi.model.control_affine import Equilibria
+from necc_casadi.model.rescale import rescaled_motion
 
 __all__ = ["disturbed_error", "perturbed_error"]
 
@@ -33,36 +33,46 @@ def disturbed_error(design: Design, share: float = 0.1) -> Vector | None:
         for sign in (1.0, -1.0):
             force = np.zeros(len(natural.sizes.input))
             force[k] = sign * share * size
-            found = _error(natural, natural.lyapunov.terms, force)
+            found = _error(natural, _dynamics(natural), force)
             if found is None:
                 return None
             worst = np.maximum(worst, found)
     return worst
 
 
-def perturbed_error(design: Design, other: ClosedLoop) -> Vector | None:
-    """|x − x*| in sizes, (n,), at rest with the controller of `design` on the plant of `other`.
+def perturbed_error(design: Design, other: Equilibria) -> Vector | None:
+    """|x − x*| in sizes, (n,), at rest with the controller of `design` on another plant.
 
     None where that loop does not stay at rest nearby. `other` is in the units of the model.
     """
-    natural = design.natural
-    terms = make_terms(rescaled_loop(other, design.units), natural.casimirs)
-    return _error(natural, terms, np.zeros(terms.m))
+    motion = rescaled_motion(other, design.units)
+    dynamics = (
+        casadi_function("drift", motion.x, motion.f),
+        casadi_function("directions", motion.x, motion.g),
+    )
+    return _error(design.natural, dynamics, np.zeros(other.m))
 
 
-def _error(natural: Design, plant: Terms, force: Vector) -> Vector | None:
-    """Newton's method along a path from the design's plant to `plant` with a force on its input."""
+#: (f, g) of ẋ = f + g u.
+_Dynamics = tuple[ca.Function, ca.Function]
+
+
+def _dynamics(natural: Design) -> _Dynamics:
+    terms = natural.lyapunov.terms
+    return terms.drift, terms.directions
+
+
+def _error(natural: Design, other: _Dynamics, force: Vector) -> Vector | None:
+    """Newton's method along a path from the design's plant to another with a force on its input."""
     V = natural.lyapunov
     n = V.terms.n
     z, way = ca.MX.sym("z", len(natural.z_star)), ca.MX.sym("way")
     x = z[:n]
     u, s_dot = V.control_law_function.call([x, z[n:]])
 
-    def dynamics(terms: Terms, held: ca.MX) -> ca.MX:
-        return terms.F(x) @ terms.grad_H(x) + terms.G(x) @ held
-
     pushed = u + way * ca.DM(force)
-    x_dot = (1 - way) * dynamics(V.terms, pushed) + way * dynamics(plant, pushed)
+    own, changed = ((f(x) + g(x) @ pushed) for f, g in (_dynamics(natural), other))
+    x_dot = (1 - way) * own + way * changed
     field = ca.vertcat(x_dot, s_dot)
     slope = ca.jacobian(field, z)
     both = ca.Function("rest", [z, way], [field, slope])

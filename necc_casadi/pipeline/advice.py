@@ -6,9 +6,9 @@ from collections.abc import Mapping, Sequence
 
 import sympy as sp
 
-from necc_casadi.casimirs.casimirs import Casimirs
 from necc_casadi.certificate.claims.certificate import Certificate
 from necc_casadi.designs.design import Design
+from necc_casadi.methods.method import Method
 from necc_casadi.model.model_file import Model
 from necc_casadi.model.piece import loop_piece
 from necc_casadi.model.sizes import Sizes
@@ -20,7 +20,7 @@ from necc_casadi.verdict.controller_structures import suggest_controllers
 
 __all__ = [
     "design_notes",
-    "model_notes",
+    "loop_notes",
     "nearest_note",
     "region_notes",
     "response_notes",
@@ -54,7 +54,7 @@ def structure_offers(model: Model, x_star: Mapping[sp.Symbol, sp.Expr]) -> list[
 
 def nearest_note(model: Model, x_star: dict[sp.Symbol, sp.Expr]) -> list[str]:
     """An equilibrium near a target that is none."""
-    plant = model.loop.plant
+    plant = model.system
     nearest = nearest_equilibrium(plant, x_star)
     if nearest is None:
         return []
@@ -62,15 +62,16 @@ def nearest_note(model: Model, x_star: dict[sp.Symbol, sp.Expr]) -> list[str]:
     return [f"the nearest equilibrium that was found: {values}"]
 
 
-def model_notes(model: Model, casimirs: Casimirs, x_star: Mapping[sp.Symbol, sp.Expr]) -> list[str]:
+def loop_notes(published: Method, x_star: Mapping[sp.Symbol, sp.Expr]) -> list[str]:
     """What of the model was not proved, where it was looked at, and which Casimirs are missing."""
+    loop, casimirs = published.loop, published.casimirs
     notes = [
         f"{p.name} held at sampled points only: what rests on it is not proved"
-        for p in model.loop.properties
+        for p in loop.properties
         if not p.proved
     ]
-    where = loop_piece(model.loop, x_star).note
-    return [*model.notes, *notes, *(note for note in (where, casimirs.note) if note)]
+    where = loop_piece(loop, x_star).note
+    return [*notes, *(note for note in (where, casimirs.note) if note)]
 
 
 def design_notes(made: Design, options: Options) -> list[str]:

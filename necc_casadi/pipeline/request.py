@@ -10,9 +10,16 @@ import numpy as np
 import sympy as sp
 
 from necc_casadi.arrays import Vector
-from necc_casadi.cases import Activation, CasimirForm, Integrator, PhiForm, Precision, Shape
+from necc_casadi.cases import (
+    Activation,
+    CasimirForm,
+    Integrator,
+    MethodWord,
+    PhiForm,
+    Precision,
+    Shape,
+)
 from necc_casadi.errors import OptionError
-from necc_casadi.model.closed_loop import interconnect
 from necc_casadi.model.model_file import Model, damping_matrix
 from necc_casadi.model.target import free_coordinates, parse_target, target_from_model
 from necc_casadi.synthesis.options import Options, check_options, paper_options
@@ -73,6 +80,7 @@ class Request:
     controller_damping: tuple[float, ...] | None = None
     plots: bool = True
     sweep_a: tuple[float, float, int] | None = None
+    method: MethodWord = "auto"
     structure: str | None = None  # name of a controller structure that the tool offers
     real: Precision = "double"
     sample_time: float | None = None
@@ -93,7 +101,7 @@ def with_structure(model: Model, name: str, x_star: Mapping[sp.Symbol, sp.Expr])
     offers = suggest_controllers(model.loop.plant, x_star)
     for label, controller, _ in offers:
         if option_word(label) == name:
-            return replace(model, loop=interconnect(model.loop.plant, controller), casimirs=())
+            return replace(model, controller=controller, casimirs=())
     raise OptionError(
         "usage",
         f"--structure {name}: no such structure helps at this target",
@@ -120,10 +128,10 @@ def read_parameters(texts: Sequence[str]) -> dict[str, str]:
 def read_target(model: Model, text: str | None) -> dict[sp.Symbol, sp.Expr]:
     """x* from --target, else from the model file."""
     if text is not None:
-        return parse_target(model.loop.plant, text)
+        return parse_target(model.system, text)
     if model.target is not None:
-        return target_from_model(model.loop.plant, model.target)
-    free, dimension = free_coordinates(model.loop.plant)
+        return target_from_model(model.system, model.target)
+    free, dimension = free_coordinates(model.system)
     names = ", ".join(map(str, free[:dimension])) or "none"
     raise OptionError(
         "usage",
@@ -163,7 +171,7 @@ def _peak(values: tuple[float, ...], m: int) -> Vector:
 
 def read_options(request: Request, model: Model) -> Options:
     """The options of the synthesis, from the request and the model."""
-    m = model.loop.plant.m
+    m = model.system.m
     options = Options(
         D=model.D, Dc=model.Dc, state_cost=model.state_cost, input_cost=model.input_cost
     )

@@ -17,8 +17,6 @@ from typing import TYPE_CHECKING, Any
 
 import sympy as sp
 
-from necc_casadi.casimirs.casimirs import Casimirs
-from necc_casadi.casimirs.find import find_casimirs
 from necc_casadi.certificate.claims.certificate import Certificate
 from necc_casadi.choice.choose import Choice, choose
 from necc_casadi.designs.design import Design
@@ -27,12 +25,15 @@ from necc_casadi.errors import InputError
 from necc_casadi.export.sampled_loop import SampledLoop
 from necc_casadi.files import LISTING, check_writable, write_text
 from necc_casadi.folders import whole_folder
+from necc_casadi.methods.find import Found, find_method
+from necc_casadi.methods.method import Method
 from necc_casadi.model.model_file import Model, load_model
+from necc_casadi.model.plant import Plant
 from necc_casadi.model.spot_checks import check_model_at
 from necc_casadi.performance.shares import sampled_share
 from necc_casadi.pipeline.advice import (
     design_notes,
-    model_notes,
+    loop_notes,
     nearest_note,
     region_notes,
     response_notes,
@@ -63,8 +64,6 @@ from necc_casadi.simulation.responses import Trajectory, random_states, simulate
 from necc_casadi.synthesis.asked import Answer
 from necc_casadi.synthesis.options import Options
 from necc_casadi.synthesis.synthesis import answered
-from necc_casadi.verdict.judge import judge
-from necc_casadi.verdict.verdict import Verdict
 
 if TYPE_CHECKING:
     from necc_casadi.performance.measure import Performance
@@ -103,15 +102,13 @@ def run_design(request: Request, say: Say) -> Findings:
     with clock.stage("symbolic", "reading the model"):
         task = _judged(request, say)
     found = Findings(
-        task.model.loop,
+        task.model.system,
         task.x_star,
-        task.casimirs,
-        task.verdict,
+        task.found,
         notes=task.notes,
         timings=dict(clock.timings),
     )
-    learning = task.options.learn_casimir and task.verdict.assignable is not False
-    if not (task.verdict.assignable or learning) or request.check:
+    if task.found.chosen is None or request.check:
         return found
     figures = ("figures/lyapunov.png",) if request.plots else ()
     with whole_folder(request.out, (*_EXPECTED, *figures)) as folder:
@@ -167,10 +164,16 @@ class _Task:
 
     model: Model
     x_star: dict[sp.Symbol, sp.Expr]
-    casimirs: Casimirs
-    verdict: Verdict
+    found: Found
     options: Options
     notes: tuple[str, ...]
+
+    @property
+    def method(self) -> Method:
+        """The loop that is to hold the target."""
+        if self.found.chosen is None:
+            raise ValueError("no method holds the target")
+        return self.found.chosen
 
 
 def _judged(request: Request, say: Say) -> _Task:
@@ -180,20 +183,30 @@ def _judged(request: Request, say: Say) -> _Task:
     model = load_model(request.model, read_parameters(request.param))
     options = read_options(request, model)
     x_star = read_target(model, request.target)
-    sampled = check_model_at(model.loop, x_star)
+    is_plant = isinstance(model.system, Plant)
+    notes = [*model.notes, *(check_model_at(model.loop, x_star) if is_plant else ())]
     if request.structure is not None:
         model = with_structure(model, request.structure, x_star)
-    say("finding Casimirs")
-    casimirs = find_casimirs(model.loop, model.casimirs, x_star)
-    say("judging the target")
-    verdict = judge(model.loop, casimirs, x_star)
-    notes = [*sampled, *model_notes(model, casimirs, x_star)]
-    if verdict.reason == "not_an_equilibrium":
+    found = find_method(model, x_star, request.method, say)
+    if options.learn_casimir and found.learnable is not None:
+        found = replace(found, chosen=found.learnable)
+    if found.chosen is not None and not is_plant:
+        notes += check_model_at(found.chosen.loop, x_star)
+    if found.published is not None:
+        notes += loop_notes(found.published, x_star)
+    verdict = None if found.published is None else found.published.verdict
+    if verdict is not None and verdict.reason == "not_an_equilibrium":
         notes += nearest_note(model, x_star)
-    if request.structure is None and not (verdict.assignable and verdict.stability == "asymptotic"):
+    if is_plant and request.structure is None and _wants_more(found):
         say("searching for a controller structure that helps")
         notes += structure_offers(model, x_star)
-    return _Task(model, x_star, casimirs, verdict, options, tuple(notes))
+    return _Task(model, x_star, found, options, tuple(notes))
+
+
+def _wants_more(found: Found) -> bool:
+    """Whether another controller structure of the published loop might hold more."""
+    chosen = found.chosen
+    return chosen is None or chosen.verdict.stability != "asymptotic"
 
 
 def _trained(task: _Task, options: Options, say: Say) -> Design:
@@ -209,13 +222,15 @@ def _answered(task: _Task, options: Options, say: Say) -> Answer:
         outcomes.append(start)
         say(f"training: start {len(outcomes)} of {options.starts}, loss {start.loss:.1e}")
 
-    return answered(task.model.loop, task.casimirs, task.verdict, task.x_star, options, report)
+    method = task.method
+    return answered(method.loop, method.casimirs, method.verdict, task.x_star, options, report)
 
 
 def _chosen(task: _Task, clock: Clock) -> Choice:
     """Train, damp and prove what the options leave to choose from, and keep one."""
+    method = task.method
     choice = choose(
-        task.model.loop, task.casimirs, task.verdict, task.x_star, task.options, clock.say
+        method.loop, method.casimirs, method.verdict, task.x_star, task.options, clock.say
     )
     clock.timings.update(choice.seconds)
     return choice
@@ -273,7 +288,7 @@ def _compared(request: Request, task: _Task, made: Design, clock: Clock) -> Perf
             if value != 0:
                 changed = {**given, name: sp.sstr(value * _LARGER)}
                 with contextlib.suppress(InputError):  # no such plant: nothing to hold
-                    others[name] = load_model(request.model, changed).loop
+                    others[name] = load_model(request.model, changed).system
         return measure(made, cost=task.options.cost(made.sizes, made.loop.plant.n), others=others)
 
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from necc_casadi.arrays import Vector
-from necc_casadi.model.plant import Plant
+from necc_casadi.model.modulated import System
 
 if TYPE_CHECKING:
     from necc_casadi.performance.measure import Performance, Rating
@@ -19,7 +19,7 @@ __all__ = ["comparison", "error_lines"]
 _LABEL, _COLUMN = 30, 15
 
 
-def comparison(found: Performance, plant: Plant) -> list[str]:
+def comparison(found: Performance, plant: System) -> list[str]:
     """Lines of the table, of one width."""
     shown: list[tuple[str, Rating]] = [("this design", found.design)]
     shown += [("LQR", found.lqr)] if found.lqr is not None else []
@@ -50,14 +50,14 @@ def comparison(found: Performance, plant: Plant) -> list[str]:
     return [_line(cells) for cells in rows]
 
 
-def error_lines(found: Performance, plant: Plant) -> list[str]:
+def error_lines(found: Performance, plant: System) -> list[str]:
     """How far from the target each changed plant rests, in the units of the model."""
     errors = {"10 % disturbance of u": found.errors.disturbance}
     errors |= {f"{name} + 10 %": error for name, error in found.errors.parameters.items()}
     return [f"{label}: {_error(error, plant)}" for label, error in errors.items()]
 
 
-def _error(error: Vector | None, plant: Plant) -> str:
+def _error(error: Vector | None, plant: System) -> str:
     if error is None:
         return "the loop does not stay at rest nearby"
     away = [

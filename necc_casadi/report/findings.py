@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 
 import sympy as sp
 
-from necc_casadi.casimirs.casimirs import Casimirs
 from necc_casadi.certificate.claims.certificate import Certificate
 from necc_casadi.certificate.claims.claim import Claim
 from necc_casadi.choice.choose import Choice
@@ -18,10 +17,11 @@ from necc_casadi.designs.design import Design
 from necc_casadi.designs.error_bound import ACCEPTED_LOSS, natural_loss
 from necc_casadi.designs.measures import Measures, measure
 from necc_casadi.export.sampled_loop import SampledLoop
-from necc_casadi.model.closed_loop import ClosedLoop
+from necc_casadi.methods.find import Found
+from necc_casadi.methods.method import Method
+from necc_casadi.model.modulated import System
 from necc_casadi.report.sweep_point import SweepPoint
 from necc_casadi.simulation.responses import Trajectory
-from necc_casadi.verdict.verdict import Verdict
 
 if TYPE_CHECKING:
     from necc_casadi.performance.measure import Performance
@@ -34,10 +34,9 @@ __all__ = ["Findings", "attracts", "global_claim", "region_claim"]
 class Findings:
     """Everything that one run found; what was not reached is None."""
 
-    loop: ClosedLoop
+    system: System  # the plant as the model file gives it
     x_star: Mapping[sp.Symbol, sp.Expr]
-    casimirs: Casimirs | None = None
-    verdict: Verdict | None = None
+    found: Found
     design: Design | None = None
     certificate: Certificate | None = None
     choice: Choice | None = None  # why this design, and how it responds with clipped inputs
@@ -52,6 +51,11 @@ class Findings:
     files: tuple[str, ...] = ()  # relative to the folder that was written
     timings: Mapping[str, float] = field(default_factory=dict)  # s, by stage
 
+    @property
+    def method(self) -> Method | None:
+        """The loop that is to hold the target."""
+        return self.found.chosen
+
     @cached_property
     def measures(self) -> Measures | None:
         """What the design reached."""
@@ -60,10 +64,10 @@ class Findings:
     @property
     def status(self) -> str:
         """The word for the outcome, see docs/contract.md#json."""
-        if self.verdict is not None and self.verdict.assignable is False:
+        if self.found.refused:
             return "refused"
         if self.design is None:
-            known = self.verdict is not None and self.verdict.assignable
+            known = self.method is not None and self.method.verdict.assignable
             return "assignable" if known else "undecided"
         certified = self.certificate is not None and self.certificate.certified
         certified = certified and (self.asked is None or self.asked.met)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+import sympy as sp
+
 from necc_casadi.arrays import Vector
 from necc_casadi.casimirs.casimirs import Casimirs
 from necc_casadi.certificate.claims.certificate import Certificate
@@ -13,6 +15,8 @@ from necc_casadi.designs.design import Design
 from necc_casadi.designs.measures import Measures
 from necc_casadi.designs.outcome import Start
 from necc_casadi.files import finite
+from necc_casadi.methods.method import Method
+from necc_casadi.model.shaped_loop import ShapedLoop
 from necc_casadi.report.asked import asked_text
 from necc_casadi.report.findings import Findings
 from necc_casadi.simulation.responses import Trajectory
@@ -29,13 +33,16 @@ __all__ = ["to_json"]
 
 def to_json(found: Findings) -> dict[str, Any]:
     """The object of docs/contract.md#json; blocks that were not made are None."""
-    loop, casimirs, verdict = found.loop, found.casimirs, found.verdict
+    system, published, method = found.system, found.found.published, found.method
+    held = method or published
     data: dict[str, Any] = {
         "status": found.status,
-        "plant": {"states": list(loop.plant.states), "inputs": loop.plant.m},
-        "controller": {"states": list(loop.controller.states)},
-        "target": {str(s): to_float(found.x_star[s]) for s in loop.plant.x},
-        "verdict": None if verdict is None or casimirs is None else _verdict(verdict, casimirs),
+        "plant": {"states": list(system.states), "inputs": system.m},
+        "controller": None if held is None else {"states": list(held.loop.controller.states)},
+        "target": {str(s): to_float(found.x_star[s]) for s in system.x},
+        "verdict": None if published is None else _verdict(published.verdict, published.casimirs),
+        "method": None if method is None else _method(method),
+        "methods_refused": [vars(refusal) for refusal in found.found.refusals] or None,
         "design": None
         if found.design is None or found.measures is None
         else _design(found.design, found.measures, found.certificate),
@@ -52,7 +59,7 @@ def to_json(found: Findings) -> dict[str, Any]:
         "asked": None if found.asked is None else _asked(found.asked),
         "performance": None
         if found.performance is None
-        else _performance(found.performance, list(loop.plant.states)),
+        else _performance(found.performance, list(system.states)),
         "sweep": [vars(p) for p in found.sweep] or None,
         "notes": found.notes,
         "files": found.files,
@@ -162,6 +169,33 @@ def _verdict(verdict: Verdict, casimirs: Casimirs) -> dict[str, Any]:
         "lambda": None if verdict.lam is None else to_floats(verdict.lam).tolist(),
         "invisible": [to_floats(row).tolist() for row in verdict.invisible.tolist()],
     }
+
+
+def _method(method: Method) -> dict[str, Any]:
+    """How the target is held, with formulas as text."""
+    loop = method.loop
+    ahead, shaped = loop.plant.preliminary, isinstance(loop, ShapedLoop)
+    return {
+        "name": method.name,
+        "shaping": [to_text(g) for g in loop.gamma] if shaped else None,
+        "alpha": matrix_text(loop.feedback) if shaped else None,
+        "structure": None
+        if ahead is None
+        else {
+            "J": matrix_text(loop.plant.J),
+            "R": matrix_text(loop.plant.R),
+            "H": to_text(loop.plant.H),
+        },
+        "input": None
+        if ahead is None
+        else {"u0": matrix_text(ahead.u0), "gain": matrix_text(ahead.gain)},
+        "verdict": _verdict(method.verdict, method.casimirs),
+    }
+
+
+def matrix_text(matrix: sp.MatrixBase) -> list[list[str]]:
+    """Formulas, row by row."""
+    return [[to_text(entry) for entry in row] for row in matrix.tolist()]
 
 
 def _certificate(certificate: Certificate, found: Findings) -> dict[str, Any]:

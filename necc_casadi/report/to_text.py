@@ -16,10 +16,11 @@ from necc_casadi.designs.design import Design
 from necc_casadi.designs.measures import Measures
 from necc_casadi.designs.outcome import Residual, solver_seconds
 from necc_casadi.export.sampled_loop import SampledLoop
-from necc_casadi.model.plant import Plant
+from necc_casadi.model.modulated import System
 from necc_casadi.report.asked import asked_text, missed
 from necc_casadi.report.compared import comparison, error_lines
 from necc_casadi.report.findings import Findings, attracts, global_claim, region_claim
+from necc_casadi.report.methods import method_rows
 from necc_casadi.symbolic.expressions import to_text
 from necc_casadi.symbolic.floats import to_float
 from necc_casadi.verdict.verdict import Verdict
@@ -56,13 +57,13 @@ _NOTHING = 1e-20
 
 def summary(found: Findings, width: int = _WIDTH) -> str:
     """A page that says what was found, proved and written, in lines of so many columns."""
-    loop, verdict, casimirs = found.loop, found.verdict, found.casimirs
-    lines = [_headline(f"{loop.plant.name}: {_outcome(found)}", width), ""]
+    published = found.found.published
+    lines = [_headline(f"{found.system.name}: {_outcome(found)}", width), ""]
     rows = [("target", _target(found))]
-    if casimirs is not None:
-        rows.append(("Casimirs", _casimirs(casimirs)))
-    if verdict is not None:
-        rows.append(("verdict", _verdict_text(verdict)))
+    if published is not None:
+        rows.append(("Casimirs", _casimirs(published.casimirs)))
+        rows.append(("verdict", _verdict_text(published.verdict)))
+    rows += method_rows(found.found)
     if found.design is not None and found.measures is not None:
         rows.append(("sizes", _sizes(found.design)))
         rows += _design_rows(found.design, found.measures, found.certificate)
@@ -73,7 +74,7 @@ def summary(found: Findings, width: int = _WIDTH) -> str:
     if found.asked is not None:
         rows.append(("asked" if found.asked.met else "NOT met", asked_text(found.asked)))
     if found.performance is not None:
-        rows += _compared_rows(found.performance, loop.plant)
+        rows += _compared_rows(found.performance, found.system)
     if found.responses:
         rows.append(("responses", _responses(found)))
     if found.choice is not None:
@@ -138,7 +139,7 @@ def _outcome(found: Findings) -> str:
     }[found.status]
 
 
-def _compared_rows(performance: Performance, plant: Plant) -> list[tuple[str, str]]:
+def _compared_rows(performance: Performance, plant: System) -> list[tuple[str, str]]:
     """The table, unbroken, and what rests elsewhere."""
     first, *lines = comparison(performance, plant)
     rows = [("compared", _tied(first)), *(("", _tied(line)) for line in lines)]
@@ -147,12 +148,12 @@ def _compared_rows(performance: Performance, plant: Plant) -> list[tuple[str, st
 
 def _target(found: Findings) -> str:
     parts = []
-    many = found.loop.plant.n > _MANY
-    for symbol in found.loop.plant.x:
+    many = found.system.n > _MANY
+    for symbol in found.system.x:
         value = found.x_star[symbol]
         if many and value == 0:
             continue
-        unit = found.loop.plant.units.get(str(symbol), "")
+        unit = found.system.units.get(str(symbol), "")
         decimal = "" if value.is_Integer else f" = {to_float(value):.6g}"
         parts.append(_tied(f"{symbol} = {sp.sstr(value)}{decimal} {unit}".rstrip()))
     if many:
@@ -335,7 +336,7 @@ def _block(head: str, rows: list[tuple[str, str]]) -> list[tuple[str, str]]:
 
 def _reach(found: Findings, certificate: Certificate) -> str:
     """Between which values every state stays on Ω."""
-    units, reach = found.loop.plant.units, certificate.reach or {}
+    units, reach = found.system.units, certificate.reach or {}
     parts = [
         _tied(f"{name} any" if side is None else _side(name, side, units.get(name, "")))
         for name, side in reach.items()

@@ -34,6 +34,6 @@ def saturated_field(design: Design) -> ca.Function:
     x, xi = z[: terms.n], z[terms.n :]
     u, s_dot = V.control_law_function.call([x, xi - terms.gamma(x)])
     held = ca.fmin(ca.fmax(u, ca.DM(low)), ca.DM(high))
-    x_dot = terms.F(x) @ terms.grad_H(x) + terms.G(x) @ held
+    x_dot = terms.drift(x) + terms.directions(x) @ held
     rate = state_rate(terms, x, x_dot, s_dot)
     return ca.Function("saturated", [z], [rate], ["z"], ["z_dot"])

@@ -226,7 +226,7 @@ class _Loop:
         ports = terms.ports(z)
         seen = ports.T @ lifting.N
         A = terms.M(z) @ lifting.N - ports @ D @ seen
-        input_slope = -D[:m, :] @ seen - _controller_slope(lifting)
+        input_slope = _input_slope(lifting, -D[:m, :] @ seen)
         scale, inverse = ca.DM(self.size), ca.DM(1 / self.size)
         self.A = ca.diag(inverse) @ A @ ca.diag(scale)
         self.C = input_slope @ ca.diag(scale)
@@ -268,14 +268,22 @@ class _Loop:
         return np.asarray(self.aim.starts / np.outer(size, size), float)
 
 
-def _controller_slope(lifting: Lifting) -> ca.SX:
-    """∂(A∇Hc)/∂z at z*, (m, n + nc)."""
+def _input_slope(lifting: Lifting, injected: ca.SX) -> ca.SX:
+    """∂u/∂z at z*, (m, n + nc), with ∂v/∂z `injected`; v* = 0."""
     terms = lifting.terms
     z = ca.SX.sym("z", terms.n + terms.nc)
     energy = lifting.jets[0].model(z[terms.n :])
-    output = terms.feedback(z) @ ca.gradient(energy, z)[terms.n :]
+    output = ca.densify(-terms.feedback(z) @ ca.gradient(energy, z)[terms.n :])
+    slope = ca.jacobian(output, z)
+    if terms.preliminary is not None:
+        given = ca.SX.sym("u", terms.m)
+        u = terms.preliminary(z[: terms.n], given)
+        by_x, by_input = ca.jacobian(u, z), ca.jacobian(u, given)
+        by_x, by_input = ca.substitute([by_x, by_input], [given], [output])
+        slope, injected = by_x + by_input @ slope, by_input @ injected
     here = ca.vertcat(ca.SX(lifting.x_star), lifting.xi)
-    return ca.substitute(ca.jacobian(output, z), z, here)
+    slope, injected = ca.substitute([slope, injected], [z], [here])
+    return slope + injected
 
 
 def damping_bounds(size: int) -> tuple[Vector, Vector]:

@@ -89,8 +89,8 @@ class LeastCost:
         self.program: Program | None = None
         if is_plain(plan, options) and solution.solved:
             self.program = hard_program(self.lifting, plan.curvature, plan.anchor.stiffness)
-        drift = np.asarray(terms.F(plan.x) @ terms.grad_H(plan.x), float).ravel()
-        port = np.asarray(terms.G(plan.x), float)
+        drift = np.asarray(terms.drift(plan.x), float).ravel()
+        port = np.asarray(terms.directions(plan.x), float)
         self.holding = np.linalg.lstsq(port, -drift, rcond=None)[0]  # (m,) u at the target
         self.A, self.B = plant_linearisation(terms, plan.x, self.holding)
 

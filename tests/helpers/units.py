@@ -4,8 +4,6 @@ from dataclasses import dataclass, field
 
 import sympy as sp
 
-from necc_casadi.model.closed_loop import interconnect
-from necc_casadi.model.controller import default_controller
 from necc_casadi.model.model_file import Model
 from necc_casadi.model.plant import make_plant
 
@@ -53,7 +51,7 @@ def converted(model: Model, change: Change) -> Model:
         if plant.u_limits is None
         else [(lo * float(u), hi * float(u)) for lo, hi in plant.u_limits],
     )
-    return Model(loop=interconnect(made, default_controller(made)))
+    return Model(made)
 
 
 def converted_target(x_star, change: Change):

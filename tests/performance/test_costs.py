@@ -89,7 +89,7 @@ def test_the_error_on_another_plant_is_where_its_loop_rests(default_design, pend
     loop = pendulum.loop
     H, p = loop.plant.H, loop.plant.x[1]
     heavier = dataclasses.replace(loop.plant, H=H + H.subs({p: 0}) / 10)
-    error = perturbed_error(default_design, dataclasses.replace(loop, plant=heavier))
+    error = perturbed_error(default_design, heavier)
 
     def rest(q):
         xi = brentq(lambda v: default_design.control([q, 0.0], [v])[1][0], -20, 20)
@@ -102,4 +102,4 @@ def test_the_error_on_another_plant_is_where_its_loop_rests(default_design, pend
 
 
 def test_an_unchanged_plant_has_no_error(default_design, pendulum):
-    assert perturbed_error(default_design, pendulum.loop).max() < 1e-9
+    assert perturbed_error(default_design, pendulum.loop.plant).max() < 1e-9

@@ -21,7 +21,7 @@ def limited(default_design):
 def found(limited, pendulum):
     H, p = pendulum.loop.plant.H, pendulum.loop.plant.x[1]
     heavier = dataclasses.replace(pendulum.loop.plant, H=H + H.subs({p: 0}) / 10)
-    others = {"m": dataclasses.replace(pendulum.loop, plant=heavier)}
+    others = {"m": heavier}
     return measure(limited, starts=random_starts(limited, 4, 5), others=others)
 
 

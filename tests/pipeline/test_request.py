@@ -45,7 +45,9 @@ def test_the_words_of_an_option_are_those_of_its_type():
     """No word stands a second time in the command line."""
     offered = {p.name: p.type for p in _design.params if isinstance(p.type, click.Choice)}
     hints = get_type_hints(Request) | get_type_hints(Choices)
-    assert set(offered) == {"activation", "casimir_form", "integrator", "phi", "real", "shape"}
+    assert set(offered) == {
+        "activation", "casimir_form", "integrator", "method", "phi", "real", "shape"
+    }  # fmt: skip
     for name, kind in offered.items():
         literal, *_ = [a for a in (hints[name], *get_args(hints[name])) if isinstance(a, Literal)]
         assert tuple(kind.choices) == get_args(literal), name

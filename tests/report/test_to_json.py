@@ -20,7 +20,7 @@ def test_the_json_says_what_ends_the_region(found):
         "level_above_minimum": obstacle.level_above_minimum,
     }
     assert certificate["level_above_minimum"] < obstacle.level_above_minimum
-    assert set(certificate["reach"]) == set(found.loop.states)
+    assert set(certificate["reach"]) == set(found.method.loop.states)
     assert certificate["domain_share"] == found.domain_share
     bare = replace(found.certificate, obstacle=None, reach=None, level_above_minimum=None)
     nothing = to_json(replace(found, certificate=bare))["certificate"]

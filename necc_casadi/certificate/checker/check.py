@@ -108,7 +108,8 @@ def _everything(evidence: Evidence) -> list[Checked]:
     if evidence.claimed("input_limits") or certificate.level_u is not None:
         results.append(check_input_limits(evidence, proof, region_holds))
     if evidence.claimed("clipping") or certificate.level_clipped is not None:
-        results.append(check_clipping(evidence, proof, region_holds))
+        anywhere = region_holds or certificate.region is None
+        results.append(check_clipping(evidence, proof, anywhere and settled.holds))
     if evidence.claimed("global") or certificate.is_global:
         results.append(check_global(evidence, settled.holds))
     return results

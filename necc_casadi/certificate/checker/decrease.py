@@ -12,7 +12,7 @@ import sympy as sp
 
 from necc_casadi.certificate.checker.arithmetic.definite import exactly_positive
 from necc_casadi.certificate.checker.evidence import Checked, Evidence
-from necc_casadi.certificate.checker.loops import StoredShaping
+from necc_casadi.certificate.checker.loops import StoredFeedback, StoredShaping
 from necc_casadi.certificate.checker.model import StoredDesign
 from necc_casadi.certificate.claims import statements
 from necc_casadi.symbolic.semidefinite import is_positive_semidefinite
@@ -22,9 +22,10 @@ __all__ = ["check_decrease"]
 
 
 def check_decrease(evidence: Evidence) -> list[Checked]:
-    """The four conditions of V̇ ≤ 0, then V̇ ≤ 0 itself."""
+    """The conditions of V̇ ≤ 0, then V̇ ≤ 0 itself."""
     model = evidence.model
     conditions = [_casimir(model), _structure(model), _slope(evidence), _damping(model)]
+    conditions += [] if model.ahead is None else [_matching(model, model.ahead)]
     proved = ((condition.name, partial(bool, condition.holds)) for condition in conditions)
     return [*conditions, Checked.by("decrease", statements.DECREASE, proved)]
 
@@ -53,6 +54,17 @@ def _structure(m: StoredDesign) -> Checked:
     shaped = isinstance(loop, StoredShaping)
     text = statements.SHAPED_STRUCTURE if shaped else statements.STRUCTURE
     return Checked.by("structure", text, [*skew, *dissipative, *zero])
+
+
+def _matching(model: StoredDesign, ahead: StoredFeedback) -> Checked:
+    """The plant ẋ = f + g u under u = u₀ + Bũ is the structure that everything else is about."""
+    slope = sp.Matrix([sp.diff(model.H, s) for s in model.z[: model.n]])
+    flow = (model.J - model.R) * slope
+    obligations = [
+        ("f + g u₀ = (J − R)∇H", partial(_vanishes, ahead.f + ahead.g * ahead.u0 - flow)),
+        ("g B = G", partial(_vanishes, ahead.g * ahead.gain - model.G)),
+    ]
+    return Checked.by("matching", statements.MATCHING, obligations)
 
 
 def _vanishes(A: sp.Matrix) -> bool:

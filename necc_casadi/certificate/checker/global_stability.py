@@ -68,8 +68,7 @@ class _WholeSpace:
         ]
 
     def _varying(self) -> set[sp.Symbol]:
-        model = self.model
-        free: set[sp.Symbol] = (model.Jcl - model.Rcl).free_symbols | model.ports.free_symbols
+        free: set[sp.Symbol] = (self.model.Jcl - self.model.Rcl).free_symbols
         return free
 
     def _has_inertia(self) -> bool:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import sympy as sp
@@ -48,6 +48,9 @@ class InputProof:
             return True
         coupled = any(self.A.has(model.z[i]) for _, i in self.driven)
         moved = self.seen.has(*s) or model.feedback.has(*s)
+        moved = moved or (
+            model.ahead is not None and sp.Matrix([*model.ahead.u0, *model.ahead.gain]).has(*s)
+        )
         return not (coupled or moved or (self.driven and self.energy.phi is not None))
 
     def kept(self, box: Box) -> bool:
@@ -66,15 +69,24 @@ class InputProof:
         ports = [[evaluate(e, values) for e in row] for row in model.ports.tolist()]
         gain = [[evaluate(e, values) for e in row] for row in model.feedback.tolist()]
         stiff = [[evaluate(e, values) for e in row] for row in self.A.tolist()]
+        ahead, base = self._ahead(values)
         for k, (lo, hi) in enumerate(model.u_limits or ()):
-            given = self.damping[k]
-            damped = [sum((given[j] * g for j, g in enumerate(row)), arb(0)) for row in ports]
-            u = -sum((gain[k][j] * slope for j, slope in enumerate(slopes)), arb(0))
+            given = [_dot(ahead[k], column) for column in zip(*self.damping, strict=True)]
+            damped = [_dot(given, row) for row in ports]
+            u = base[k] - _dot(ahead[k], [_dot(row, slopes) for row in gain])
             u = u - sum((damped[i] * gradient[at] for at, i in self.driven), arb(0))
             swing = self._swing([damped[i] for i in self.resting], stiff, room)
             if not (bool(u - swing > float(lo)) and bool(u + swing < float(hi))):
                 return False
         return True
+
+    def _ahead(self, values: Mapping[sp.Symbol, arb]) -> tuple[list[list[arb]], list[arb]]:
+        """B and u₀ of u = u₀ + Bũ, (m, m) and (m,)."""
+        m, ahead = self.model.m, self.model.ahead
+        if ahead is None:
+            return [[arb(i == j) for j in range(m)] for i in range(m)], [arb(0)] * m
+        gain = [[evaluate(e, values) for e in row] for row in ahead.gain.tolist()]
+        return gain, [evaluate(e, values) for e in ahead.u0]
 
     def _swing(self, w: list[arb], A: list[list[arb]], room: arb) -> arb:
         """The most that Φ₁ wᵀAs can be."""
@@ -100,19 +112,67 @@ def check_input_limits(evidence: Evidence, proof: RegionProof | None, sound: boo
     return _check(evidence, proof, sound, "input_limits", evidence.certificate.level_u, given)
 
 
+def _keeps_signs(model: StoredDesign) -> bool:
+    """Whether B of u = u₀ + Bũ is diagonal, constant and positive."""
+    if model.ahead is None:
+        return True
+    B, m = model.ahead.gain, model.m
+    off = [B[i, j] for i in range(m) for j in range(m) if i != j]
+    return all(e == 0 for e in off) and all(B[i, i].is_positive is True for i in range(m))
+
+
+def _is_alone(model: StoredDesign) -> bool:
+    """Whether D is diagonal, not coupled with v_c, and acts on u entry by entry."""
+    damping, m = model.damping, model.m
+    pairs = ((i, j) for i in range(m) for j in range(len(damping)) if i != j)
+    return _keeps_signs(model) and not any(damping[i][j] or damping[j][i] for i, j in pairs)
+
+
+def _check_everywhere(evidence: Evidence, sound: bool) -> Checked:
+    """−A∇Hc is 0 and u₀ a constant strictly within the limits, whatever the state."""
+    model = evidence.model
+    ahead = [sp.Integer(0)] * model.m if model.ahead is None else list(model.ahead.u0)
+    limits = model.u_limits or []
+
+    def inside(u: sp.Expr, lo: float, hi: float) -> bool:
+        value = evaluate(u, {})
+        return bool(value > arb(lo)) and bool(value < arb(hi))
+
+    return Checked.by(
+        "clipping",
+        statements.CLIPPED_EVERYWHERE,
+        [
+            ("there are limits", lambda: bool(limits)),
+            ("what holds without them is proved", lambda: sound),
+            ("no level says less", lambda: evidence.certificate.level_clipped is None),
+            ("D is diagonal and not coupled with ξ", lambda: _is_alone(model)),
+            ("u does not depend on Hc", lambda: all(e == 0 for e in model.feedback)),
+            ("u₀ is constant", lambda: not any(u.free_symbols for u in ahead)),
+            (
+                "u₀ is strictly within the limits",
+                lambda: all(inside(u, *pair) for u, pair in zip(ahead, limits, strict=True)),
+            ),
+        ],
+    )
+
+
 def check_clipping(evidence: Evidence, proof: RegionProof | None, sound: bool) -> Checked:
     """U without its damping is strictly within the limits: clip(−y_c − Dw) = −y_c − ΣDw.
 
     With D diagonal and 0 ≺ Σ ⪯ I diagonal V̇ ≤ 0 stays, and V̇ = 0 still means w = 0.
     """
+    if evidence.claimed("clipping") and evidence.claims["clipping"].data.get("everywhere") is True:
+        return _check_everywhere(evidence, sound)
     model, m = evidence.model, evidence.model.m
     damping = model.damping
-    alone = not any(
-        damping[i][j] or damping[j][i] for i in range(m) for j in range(len(damping)) if i != j
-    )
+    alone = _is_alone(model)
     none = [[0] * len(damping) for _ in range(m)]
     level = evidence.certificate.level_clipped
     return _check(evidence, proof, sound and alone, "clipping", level, none)
+
+
+def _dot(a: Sequence[Any], b: Sequence[Any]) -> arb:
+    return sum((x * y for x, y in zip(a, b, strict=True)), arb(0))
 
 
 _WORDS = {"input_limits": statements.input_limits, "clipping": statements.clipping}

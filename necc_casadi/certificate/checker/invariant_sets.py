@@ -36,7 +36,7 @@ def largest_invariant_set_is_critical(
     (None) only what is constant counts.
     """
     whole = place is None
-    if whole and (model.Jcl.free_symbols or model.ports.free_symbols):
+    if whole and model.Jcl.free_symbols:
         return False
     here = place or OverBox(model.z, tuple((0.0, 0.0) for _ in model.z))
     seen = model.ports.T.col_join(model.Rcl)

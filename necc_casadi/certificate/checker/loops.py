@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Protocol
 
 import sympy as sp
 
-__all__ = ["StoredInterconnection", "StoredLoop", "StoredShaping"]
+__all__ = ["StoredFeedback", "StoredInterconnection", "StoredLoop", "StoredShaping"]
 
 
 class StoredLoop(Protocol):
@@ -21,6 +22,21 @@ class StoredLoop(Protocol):
     dissipative: dict[str, sp.Matrix]  # must be symmetric, ⪰ 0
     zero: dict[str, sp.Matrix]  # must vanish
     written: list[sp.Expr]  # everything that must be smooth
+
+
+@dataclass(frozen=True, eq=False)
+class StoredFeedback:
+    """Feedback u = u₀(x) + B(x)ũ ahead of the loop, of a plant ẋ = f(x) + g(x)u."""
+
+    f: sp.Matrix  # n × 1
+    g: sp.Matrix  # n × m
+    u0: sp.Matrix  # m × 1
+    gain: sp.Matrix  # B, m × m
+
+    @property
+    def written(self) -> list[sp.Expr]:
+        """Every entry."""
+        return [e for matrix in (self.f, self.g, self.u0, self.gain) for e in matrix]
 
 
 class StoredInterconnection:

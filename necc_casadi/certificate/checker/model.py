@@ -12,6 +12,7 @@ from flint import arb
 
 from necc_casadi.certificate.checker.arithmetic.balls import ends, evaluate
 from necc_casadi.certificate.checker.loops import (
+    StoredFeedback,
     StoredInterconnection,
     StoredLoop,
     StoredShaping,
@@ -61,6 +62,20 @@ class StoredDesign:
             )
             Gc = self._matrix(model["Gc"], xi, lambda i, j: E / (inner[i] * U[j]))
             self.loop = StoredInterconnection(self.J, self.R, self.G, Jc, Rc, Gc)
+        self.ahead: StoredFeedback | None = None
+        if "preliminary" in model:
+            scales: dict[str, Callable[[int, int], sp.Expr]] = {
+                "f": lambda i, j: T / plant[i],
+                "g": lambda i, j: T * U[j] / plant[i],
+                "u0": lambda i, j: 1 / U[i],
+                "gain": lambda i, j: U[j] / U[i],
+            }
+            ahead = model["preliminary"]
+            found = {key: self._matrix(ahead[key], x, unit) for key, unit in scales.items()}
+            self.ahead = StoredFeedback(**found)
+            shapes = [(self.n, 1), (self.n, self.m), (self.m, 1), (self.m, self.m)]
+            if [matrix.shape for matrix in found.values()] != shapes:
+                raise ValueError("f, g, u0 and gain do not fit the plant")
         self.Jcl, self.Rcl, self.ports = self.loop.Jcl, self.loop.Rcl, self.loop.ports
         self.feedback = self.loop.feedback
         self.casimir_texts: list[str] = data["casimirs"]["functions"]
@@ -81,8 +96,8 @@ class StoredDesign:
         self.stated_limits: list[list[float]] | None = model["u_limits"]
         self.u_limits = None
         if self.stated_limits is not None:
-            pairs = zip(self.stated_limits, u, strict=True)
-            self.u_limits = [divided(list(pair), [unit, unit]) for pair, unit in pairs]
+            limits = zip(self.stated_limits, u, strict=True)
+            self.u_limits = [divided(list(pair), [unit, unit]) for pair, unit in limits]
 
     def _damping(self, data: Mapping[str, Any], u: list[float]) -> list[list[float]]:
         """𝒟, which takes (y, u) to (u, y), each port in its unit.
@@ -95,9 +110,9 @@ class StoredDesign:
         y = [self.units.energy / (self.units.time * v) for v in u]
         rates, slopes = y, u
         if isinstance(self.loop, StoredShaping):
-            inner = self.units.state[self.n :]
-            rates = [v / self.units.time for v in inner]
-            slopes = [self.units.energy / v for v in inner]
+            sizes = self.units.state[self.n :]
+            rates = [v / self.units.time for v in sizes]
+            slopes = [self.units.energy / v for v in sizes]
         channels = self.ports.cols - self.m
         above, below = [["0x0p+0"] * channels] * self.m, [["0x0p+0"] * self.m] * channels
         upper, lower = data.get("coupling", (above, below))
@@ -133,7 +148,8 @@ class StoredDesign:
     @property
     def written(self) -> list[sp.Expr]:
         """H, what the loop is made of, and the Casimirs, undifferentiated."""
-        return [self.H, *self.loop.written, *self.casimirs]
+        ahead = [] if self.ahead is None else self.ahead.written
+        return [self.H, *self.loop.written, *ahead, *self.casimirs]
 
     def target_balls(self) -> list[arb]:
         """z* = (x*, ξ*)."""

@@ -38,7 +38,7 @@ def no_motion_without_loss(
     be bounded. `z_bar` holds the critical point.
     """
     model = energy.model
-    structure = [*model.Jcl, *model.Rcl, *model.ports]
+    structure = [*model.Jcl, *model.Rcl]
     slopes = [sp.diff(c, v) for c in model.casimirs for v in model.z]
     rational = all(e.is_Rational for e in structure) and not any(e.free_symbols for e in slopes)
     plain = model.form["phi"] is None and not model.form["betas"]
@@ -99,8 +99,11 @@ class _Solution:
         self.xi = list(range(model.n, self.count))
         self.constant, self.steady, self.placed = set[int](), set[int](), set[int]()
         self.rates = [_fractions(model.Jcl.row(i)) for i in range(self.count)]
-        seen = model.ports.T.col_join(model.Rcl)
-        self.forms = _Forms(_fractions(seen.row(i)) for i in range(seen.rows))
+        rows = [
+            model.ports.T.col_join(model.Rcl).row(i) for i in range(self.count + model.ports.cols)
+        ]
+        known = [row for row in rows if all(e.is_Rational for e in row)]  # the others say less
+        self.forms = _Forms(map(_fractions, known))
         at_rest = model.H.subs({self.z[i]: 0 for i in resting})
         self.pull = [sp.diff(at_rest, v) for v in self.z]
         momenta = [self.z[i] for i in resting]

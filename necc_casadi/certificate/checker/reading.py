@@ -159,6 +159,7 @@ def _written(model: Mapping[str, Any]) -> list[str]:
     own = ("alpha",) if "gamma" in model else ("Jc", "Rc", "Gc")
     matrices = [model[key] for key in ("J", "R", "G", *own)]
     gamma = _texts(model["gamma"]) if "gamma" in model else []
+    matrices += dict(model["preliminary"]).values() if "preliminary" in model else []
     rows = [row for matrix in matrices for row in matrix] + list(dict(model["domain"]).values())
     return _texts([model["H"], *gamma, *(entry for row in rows for entry in _texts(row))])
 

@@ -16,10 +16,12 @@ from necc_casadi.certificate.claims.motions import Follows
 from necc_casadi.certificate.claims.regions import MOST_KEPT, Obstacle, ObstacleKind
 
 __all__ = [
+    "CLIPPED_EVERYWHERE",
     "CLIPPING_IS_NOT_COVERED",
     "DAMPING",
     "DECREASE",
     "GLOBAL",
+    "MATCHING",
     "NO_NEIGHBOURHOOD",
     "NO_REGION",
     "ONLY_STABLE",
@@ -49,6 +51,13 @@ STRUCTURE = "J = −Jᵀ, R = Rᵀ ⪰ 0, Jc = −Jcᵀ, Rc = Rcᵀ ⪰ 0 hold e
 
 #: Of power shaping: u = −α∇Hc(ξ) + v, ξ̇ = ∇γᵀẋ + v_c make the loop [I; ∇γᵀ](J − R)[I, ∇γ].
 SHAPED_STRUCTURE = "J = −Jᵀ, R = Rᵀ ⪰ 0, (J − R)∇γ = −Gα hold exactly for all states"
+
+
+#: Of feedback ahead of the loop, u = u₀(x) + B(x)ũ of a plant ẋ = f + g u.
+MATCHING = (
+    "f + g u₀ = (J − R)∇H and g B = G hold exactly for all states: under u = u₀ + Bũ the plant "
+    "ẋ = f + g u is the structure that the proofs are about"
+)
 
 
 DAMPING = "the symmetric part of the damping is ≻ 0, in exact arithmetic on the stored numbers"
@@ -117,6 +126,13 @@ NO_NEIGHBOURHOOD = (
 
 #: More states that are not minimised out than a region may keep.
 TOO_MANY = f"{NO_NEIGHBOURHOOD}, with at most {MOST_KEPT} states that are not minimised out"
+
+
+#: Where u is a constant beside its damping.
+CLIPPED_EVERYWHERE = (
+    "u without its damping is a constant strictly within the limits, and D is diagonal: what is "
+    "said of solutions holds from the same states with u clipped to its limits"
+)
 
 
 CLIPPING_IS_NOT_COVERED = (

@@ -27,7 +27,7 @@ from necc_casadi.certificate.prover.attraction import prove_attraction, prove_on
 from necc_casadi.certificate.prover.decrease import prove_decrease
 from necc_casadi.certificate.prover.equilibrium import Equilibrium, prove_equilibrium
 from necc_casadi.certificate.prover.global_stability import prove_global_stability
-from necc_casadi.certificate.prover.input_limits import clipping_is_covered
+from necc_casadi.certificate.prover.input_limits import clipping_is_covered, holds_everywhere
 from necc_casadi.certificate.prover.region.proof import RegionProof
 from necc_casadi.certificate.prover.region.region import prove_region, prove_region_within_limits
 from necc_casadi.certificate.prover.solutions import what_follows
@@ -141,7 +141,7 @@ def _extended(
         return found
     energy, limited = design.units.energy, design.loop.plant.u_limits is not None
     level_u = proof.level_u if limited else None
-    level_clipped = proof.level_clipped if limited else None
+    level_clipped = None if holds_everywhere(design) or not limited else proof.level_clipped
     return replace(
         found,
         level=energy * proof.level,
@@ -218,6 +218,8 @@ def _limits_claim(design: Design, proof: RegionProof | None) -> Claim:
 
 def _clipping_claim(design: Design, proof: RegionProof | None) -> Claim:
     limits, energy = design.loop.plant.u_limits or (), design.units.energy
+    if holds_everywhere(design):
+        return Claim("clipping", True, statements.CLIPPED_EVERYWHERE, {"everywhere": True})
     if not clipping_is_covered(design):
         return Claim("clipping", False, statements.CLIPPING_IS_NOT_COVERED)
     if proof is None or proof.level_clipped is None:

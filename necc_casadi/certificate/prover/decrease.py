@@ -27,17 +27,19 @@ __all__ = ["Decrease", "casimir_texts", "prove_decrease"]
 
 @dataclass(frozen=True)
 class Decrease:
-    """The four conditions of V̇ ≤ 0, and V̇ ≤ 0 itself."""
+    """The conditions of V̇ ≤ 0, and V̇ ≤ 0 itself."""
 
     casimir: Claim
     structure: Claim
     slope: Claim
     damping: Claim
+    matching: Claim | None = None  # of feedback ahead of the loop
 
     @property
     def conditions(self) -> tuple[Claim, ...]:
         """What V̇ ≤ 0 takes."""
-        return self.casimir, self.structure, self.slope, self.damping
+        found = (self.casimir, self.structure, self.slope, self.damping)
+        return found if self.matching is None else (*found, self.matching)
 
     @property
     def decrease(self) -> Claim:
@@ -55,8 +57,19 @@ class Decrease:
 
 
 def prove_decrease(design: Design) -> Decrease:
-    """The four conditions of V̇ ≤ 0, from the design's own expressions and numbers."""
-    return Decrease(_casimir(design), _structure(design), _slope(design), _damping(design))
+    """The conditions of V̇ ≤ 0, from the design's own expressions and numbers."""
+    parts = _casimir(design), _structure(design), _slope(design), _damping(design)
+    return Decrease(*parts, _matching(design))
+
+
+def _matching(design: Design) -> Claim | None:
+    plant = design.loop.plant
+    if plant.preliminary is None:
+        return None
+    if not plant.preliminary.matches(plant.flow, plant.G):
+        text = "the feedback ahead of the loop is not proved to give the plant its structure"
+        return Claim("matching", False, text)
+    return Claim("matching", True, statements.MATCHING)
 
 
 def _casimir(design: Design) -> Claim:

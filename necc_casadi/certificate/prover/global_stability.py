@@ -79,7 +79,7 @@ def _beyond_scope(design: Design) -> Missing | None:
         return "only Φ = H + Hc + C with C = K(c) is covered"
     if not is_smooth_everywhere(written(design), loop.z):
         return "energy, structure and Casimirs are not proved to be smooth for all states"
-    if loop.M.free_symbols or loop.ports.free_symbols:
+    if loop.M.free_symbols:
         return "J, R or G depend on the state"
     return None
 

@@ -20,8 +20,9 @@ from necc_casadi.certificate.prover.arithmetic.intervals import Interval, concat
 from necc_casadi.certificate.prover.arithmetic.networks import network_jet
 from necc_casadi.certificate.prover.arithmetic.potential import Potential
 from necc_casadi.designs.design import Design
+from necc_casadi.symbolic.zero import sign
 
-__all__ = ["clipping_is_covered", "holding_level", "input_level"]
+__all__ = ["clipping_is_covered", "holding_level", "holds_everywhere", "input_level"]
 
 
 #: Rounds in which the cells that limit c_u are halved, and cells per round.
@@ -64,7 +65,32 @@ def clipping_is_covered(design: Design) -> bool:
     m = design.loop.plant.m
     rows, columns = design.damping[:m], design.damping[:, :m]
     alone = not (rows[:, m:].any() or columns[m:].any())
-    return bool(alone and not (rows[:, :m] - np.diag(np.diag(rows[:, :m]))).any())
+    diagonal = not (rows[:, :m] - np.diag(np.diag(rows[:, :m]))).any()
+    return bool(alone and diagonal and _keeps_signs(design))
+
+
+def holds_everywhere(design: Design) -> bool:
+    """Whether u without its damping is a constant strictly within the limits."""
+    loop, limits = design.loop, design.loop.plant.u_limits
+    if limits is None or not loop.feedback.is_zero_matrix or not clipping_is_covered(design):
+        return False
+    ahead = loop.plant.preliminary
+    u0 = [sp.Integer(0)] * loop.plant.m if ahead is None else list(ahead.u0)
+    inside = (
+        sign(u - sp.Rational(*lo.as_integer_ratio())) == 1
+        and sign(sp.Rational(*hi.as_integer_ratio()) - u) == 1
+        for u, (lo, hi) in zip(u0, limits, strict=True)
+    )
+    return not any(u.free_symbols for u in u0) and all(inside)
+
+
+def _keeps_signs(design: Design) -> bool:
+    """Whether B of u = u₀ + Bũ is diagonal, constant and positive."""
+    ahead, m = design.loop.plant.preliminary, design.loop.plant.m
+    if ahead is None:
+        return True
+    off = [ahead.gain[i, j] for i in range(m) for j in range(m) if i != j]
+    return not any(off) and all(ahead.gain[i, i].is_positive is True for i in range(m))
 
 
 def holding_level(
@@ -101,6 +127,8 @@ def _covered(potential: Potential) -> bool:
     A = sp.hessian(loop.plant.H, s)
     moved = any(A.has(loop.z[i]) for i in driven)
     through_phi = bool(driven) and potential.design.form.phi is not None
+    ahead = loop.plant.preliminary
+    moved = moved or (ahead is not None and (ahead.u0.has(*s) or ahead.gain.has(*s)))
     return not (_used(potential).has(*s) or loop.feedback.has(*s) or moved or through_phi)
 
 
@@ -133,7 +161,8 @@ def _levels(potential: Potential, cells: Interval) -> Vector:
     """Level below which u stays within its limits on each cell; −∞ where nothing is known, (B,)."""
     with np.errstate(all="ignore"):
         jet = potential.sharp_jet(cells) if potential.has_sharp_jet else potential.jet(cells)
-        rest = -_controller_output(potential, cells) - _passive_output(potential, cells, jet.grad)
+        given = _controller_output(potential, cells) + _passive_output(potential, cells, jet.grad)
+        rest = _fed_ahead(potential, cells, -given)
         swing = _momentum_gain(potential, cells)
         lo, hi = np.array(potential.design.loop.plant.u_limits, float).T
         room = Interval(np.minimum((hi - rest).lo, (rest - lo).lo), np.full(rest.shape, np.inf))
@@ -144,6 +173,17 @@ def _levels(potential: Potential, cells: Interval) -> Vector:
         bottom = jet.value.lo
         level = (point(bottom) + point(height)).lo
     return np.where(np.isfinite(bottom) & ~np.isnan(height), level, -np.inf)
+
+
+def _fed_ahead(potential: Potential, cells: Interval, given: Interval) -> Interval:
+    """U = u₀ + Bũ of ũ, (B, m)."""
+    loop = potential.design.loop
+    if loop.plant.preliminary is None:
+        return given
+    symbols = [loop.z[i] for i in potential.active]
+    u0 = matrix_enclosure(sp.Matrix(loop.plant.preliminary.u0), symbols, cells)[..., 0]
+    gain = matrix_enclosure(sp.Matrix(loop.plant.preliminary.gain), symbols, cells)
+    return u0 + matmul(gain, given[..., None])[..., 0]
 
 
 def _controller_output(potential: Potential, cells: Interval) -> Interval:
@@ -162,7 +202,7 @@ def _controller_output(potential: Potential, cells: Interval) -> Interval:
 
 
 def _passive_output(potential: Potential, cells: Interval, gradient: Interval) -> Interval:
-    """[D B] 𝒢ᵀ∇V at rest, without the momenta, (B, m); ∂V/∂ξ does not depend on them."""
+    """[D B] 𝒢ᵀ∇V at rest, in ũ, without the momenta, (B, m); ∂V/∂ξ does not depend on them."""
     driven = set(_driven(potential))
     rows = [k for k, i in enumerate(potential.active) if i in driven]
     damped = _damped(potential, [potential.active[k] for k in rows], cells)
@@ -176,6 +216,9 @@ def _momentum_gain(potential: Potential, cells: Interval) -> Interval:
         return point(np.zeros((cells.shape[0], m)))
     A = sp.hessian(loop.plant.H, [loop.z[i] for i in resting])
     w = _damped(potential, resting, cells)
+    if loop.plant.preliminary is not None:
+        symbols = [loop.z[i] for i in potential.active]
+        w = matmul(matrix_enclosure(sp.Matrix(loop.plant.preliminary.gain), symbols, cells), w)
     stiff = matrix_enclosure(A, [loop.z[i] for i in potential.active], cells)
     product = (matmul(w, stiff) * w).sum()
     product = Interval(np.maximum(product.lo, 0.0), product.hi)  # A ≻ 0 on the domain

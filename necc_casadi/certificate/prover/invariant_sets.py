@@ -52,7 +52,7 @@ def largest_invariant_set_is_critical(
     """
     loop = design.loop
     whole = place is None
-    if whole and (loop.ports.free_symbols or loop.J.free_symbols):
+    if whole and loop.J.free_symbols:
         return False
     place = place or OverBox(loop.z, Interval(np.zeros(loop.n), np.zeros(loop.n)))
     visible = [

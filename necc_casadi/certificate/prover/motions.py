@@ -50,7 +50,7 @@ def no_motion_without_loss(
         Holds the compact set, (N,); None for the whole space, where solutions are bounded.
     """
     loop = design.loop
-    structure = [*loop.J, *loop.R, *loop.ports]
+    structure = [*loop.J, *loop.R]
     slopes = [sp.diff(c, s) for c in design.casimirs.functions for s in loop.z]
     constant = all(e.is_Rational for e in structure) and not any(e.free_symbols for e in slopes)
     if not constant or design.form.phi is not None or design.form.betas:
@@ -76,7 +76,8 @@ class _Known:
     def __post_init__(self) -> None:
         loop = self.design.loop
         rows = [*sp.Matrix(loop.ports.T).tolist(), *sp.Matrix(loop.R).tolist()]
-        self.zero = [_exact(row) for row in rows if any(row)]
+        constant = [row for row in rows if all(e.is_Rational for e in row)]
+        self.zero = [_exact(row) for row in constant if any(row)]
 
     # --- the plant --------------------------------------------------------------------------------
 

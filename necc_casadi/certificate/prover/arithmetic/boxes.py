@@ -35,6 +35,8 @@ def hull(parts: Interval, boxes: int) -> Interval:
 
 def matrix_enclosure(matrix: sp.MatrixBase, symbols: Sequence[sp.Symbol], Z: Interval) -> Interval:
     """A matrix of expressions over boxes (B, symbols), (B, rows, columns)."""
+    if not matrix:
+        return point(np.zeros((Z.shape[0], *matrix.shape)))
     variables = dict(zip(symbols, coordinates(Z), strict=True))
     with np.errstate(all="ignore"):
         jets = expression_jets(list(matrix), variables)

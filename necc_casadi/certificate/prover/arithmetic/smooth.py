@@ -32,6 +32,9 @@ _PERIOD = (0.0, 6.2832)
 def written(design: Design) -> list[sp.Expr]:
     """H, the entries of the loop's matrices and the Casimirs, undifferentiated."""
     entries = [e for matrix in design.loop.matrices for e in matrix.todok().values()]
+    ahead = design.loop.plant.preliminary
+    if ahead is not None:
+        entries += [*ahead.f, *ahead.g, *ahead.u0, *ahead.gain]
     return [design.loop.plant.H, *entries, *design.loop.gamma, *design.casimirs.functions]
 
 
@@ -71,7 +74,7 @@ def ends_at(
     In the box of these half-widths, what must not vanish has both signs, or what must be positive
     is negative. A zero without a change of sign is not found.
     """
-    places = dict(zip(symbols, zip(at - half, at + half, strict=True), strict=True))
+    places = dict(zip(symbols, zip(at, half, strict=True), strict=True))
     for demand in conditions(expressions) or ():
         used = sorted(demand.part.free_symbols, key=str)
         if not 0 < len(used) <= _CORNERS:

@@ -81,7 +81,8 @@ class Bounds:
     def inertia(self) -> sp.Matrix:
         """A = ∂²H/∂p² of the momenta."""
         loop = self._design.loop
-        return sp.hessian(loop.plant.H, [loop.z[i] for i in self.reduced.potential.resting])
+        momenta = [loop.z[i] for i in self.reduced.potential.resting]
+        return sp.hessian(loop.plant.H, momenta) if momenta else sp.zeros(0, 0)
 
     @cached_property
     def _delta(self) -> float:

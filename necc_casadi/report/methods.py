@@ -1,0 +1,66 @@
+"""How a target is held where the published loop cannot, in words and formulas."""
+
+from __future__ import annotations
+
+import sympy as sp
+
+from necc_casadi.methods.find import Found
+from necc_casadi.methods.method import Method
+from necc_casadi.model.shaped_loop import ShapedLoop
+from necc_casadi.symbolic.expressions import to_text
+
+__all__ = ["method_rows"]
+
+
+#: Formulas longer than this are left to the JSON.
+_LONGEST = 240
+
+
+def method_rows(found: Found) -> list[tuple[str, str]]:
+    """Label and text of each line about methods other than the published loop."""
+    method = found.chosen
+    rows: list[tuple[str, str]] = []
+    if method is not None and method.name != "interconnection":
+        rows.append(("method", f"{method.name}: {_verdict(method)}"))
+        rows += [("", line) for line in _formulas(method)]
+        rows.append(("", "the controller contains the model: errors of its parameters displace it"))
+    rows += [
+        ("not held", f"{refusal.name}: {refusal.reason}{'' if refusal.proved else ' (no proof)'}")
+        for refusal in found.refusals
+    ]
+    return rows
+
+
+def _verdict(method: Method) -> str:
+    verdict = method.verdict
+    ceiling = "no ceiling on a" if verdict.a_max is None else f"a_max = {verdict.a_max:.4g}"
+    best = f"; best stability class: {verdict.stability}" if verdict.stability else ""
+    return f"holds the target; {ceiling}{best}"
+
+
+def _formulas(method: Method) -> list[str]:
+    loop = method.loop
+    ahead = loop.plant.preliminary
+    lines = []
+    if ahead is not None:
+        u0, gain = _matrix(ahead.u0), _matrix(ahead.gain)
+        by = "w" if (ahead.gain - sp.eye(ahead.gain.rows)).is_zero_matrix else f"{gain} w"
+        lines.append(f"u = {u0} + {by}; for w the plant has H = {_shown(loop.plant.H)}")
+    if isinstance(loop, ShapedLoop) and not any(loop.shaping):
+        lines.append("damping alone: w = −D y, y = Gᵀ∇H, and what a coupled damping adds")
+    elif isinstance(loop, ShapedLoop):
+        gammas = ", ".join(_shown(g) for g in loop.shaping)
+        lines.append(f"shaping functions γ = {gammas}; α = {_matrix(loop.alpha)}; ξ̇ = ∇γᵀẋ + v_c")
+    return lines
+
+
+def _matrix(matrix: sp.MatrixBase) -> str:
+    rows = [", ".join(_shown(e) for e in row) for row in matrix.tolist()]
+    if matrix.shape == (1, 1):
+        return rows[0] if matrix[0, 0].is_Atom else f"({rows[0]})"
+    return f"[{'; '.join(rows)}]"
+
+
+def _shown(expr: sp.Expr) -> str:
+    text = to_text(expr)
+    return text if len(text) <= _LONGEST else f"{text[: _LONGEST - 1]}…"
