@@ -1,0 +1,1 @@
+"""Target structures: the same plant, written with another energy."""

@@ -1,0 +1,154 @@
+"""Mechanical plants with one unactuated direction, and their partial linearisation.
+
+x = (q, p),  H = ½pᵀM⁻¹(q)p + V(q),  J canonical,  R = [0, 0; 0, D],  G = [0; B(q)],
+rank B = dim q − 1                                                   docs/theory.md#methods
+
+With B⊥B = 0 and v = M⁻¹p, B⊥(Mv̇ + …) = 0 is a row that no input enters. Divided by its entry at
+one coordinate q_r it reads  g⊥v̇ = −s(q) + vᵀΓ(q)v − friction;  the accelerations of the other
+coordinates are free inputs.
+
+References
+----------
+Spong (1994), partial feedback linearisation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import sympy as sp
+
+from necc_casadi.model.plant import Plant
+from necc_casadi.symbolic.derivatives import gradient, value_at
+from necc_casadi.symbolic.linear_algebra import kernel, tidy
+from necc_casadi.symbolic.zero import is_zero, sign
+
+__all__ = ["FreeRow", "MechanicalModel", "mechanical_model", "short"]
+
+
+@dataclass(frozen=True, eq=False)
+class FreeRow:
+    """g⊥(q) v̇ = −s(q) + vᵀΓ(q)v − d(q, v), with g⊥ᵣ = 1."""
+
+    r: int  # place of q_r
+    g_perp: sp.ImmutableMatrix  # 1 × k
+    s: sp.Expr
+    gamma: sp.ImmutableMatrix  # Γ, k × k, symmetric
+    friction: sp.Expr  # d, of q and v
+
+
+@dataclass(frozen=True, eq=False)
+class MechanicalModel:
+    """A mechanical plant with k coordinates and k − 1 inputs."""
+
+    plant: Plant
+    q: tuple[sp.Symbol, ...]  # (k,)
+    p: tuple[sp.Symbol, ...]  # (k,)
+    v: tuple[sp.Symbol, ...]  # (k,) velocities, as symbols of their own
+    inverse_mass: sp.ImmutableMatrix  # M⁻¹(q), k × k
+    potential: sp.Expr  # V(q)
+    damping: sp.ImmutableMatrix  # D, k × k
+    inputs: sp.ImmutableMatrix  # B(q), k × k − 1
+
+    @property
+    def k(self) -> int:
+        """Number of coordinates."""
+        return len(self.q)
+
+    @cached_property
+    def mass(self) -> sp.ImmutableMatrix:
+        """M(q)."""
+        return sp.ImmutableMatrix(sp.Matrix(self.inverse_mass).inv().applyfunc(short))
+
+    @cached_property
+    def velocity(self) -> sp.ImmutableMatrix:
+        """v = M⁻¹p."""
+        return self.inverse_mass * sp.Matrix(self.p)
+
+    @cached_property
+    def coriolis(self) -> sp.ImmutableMatrix:
+        """c = Ṁv − ½∇_q(vᵀMv), of q and v: Mv̇ + c + ∇V + Dv = Bu."""
+        v = sp.Matrix(self.v)
+        momentum = self.mass * v
+        kinetic = (v.T * self.mass * v)[0] / 2
+        return sp.ImmutableMatrix(momentum.jacobian(self.q) * v - gradient(kinetic, self.q))
+
+    def free_rows(self, x_star: Mapping[sp.Symbol, sp.Expr]) -> Iterator[FreeRow]:
+        """The row that no input enters, divided by each of its entries that is not 0 at x*."""
+        annihilator = kernel(sp.Matrix(self.inputs).T).T
+        row = (annihilator * self.mass).applyfunc(short)
+        slope = gradient(self.potential, self.q)
+        loss = self.damping * sp.Matrix(self.v)
+        for r, pivot in enumerate(row):
+            if sign(value_at(pivot, x_star)) not in (1, -1):
+                continue
+            curving = sp.hessian((annihilator * self.coriolis)[0], self.v)
+            yield FreeRow(
+                r,
+                sp.ImmutableMatrix((row / pivot).applyfunc(short)),
+                short((annihilator * slope)[0] / pivot),
+                sp.ImmutableMatrix((-curving / (2 * pivot)).applyfunc(short)),
+                short((annihilator * loss)[0] / pivot),
+            )
+
+
+def mechanical_model(plant: Plant) -> MechanicalModel | str:
+    """`plant` as a mechanical one with one unactuated direction, or what it lacks, in words."""
+    n = plant.n
+    if n % 2 or n < 4:
+        return "the states are no two or more coordinates followed by their momenta"
+    k = n // 2
+    q, p = plant.x[:k], plant.x[k:]
+    canonical = sp.Matrix(sp.BlockMatrix([[sp.zeros(k), sp.eye(k)], [-sp.eye(k), sp.zeros(k)]]))
+    if canonical != plant.J:
+        return "J is not canonical in the states (q, p)"
+    if plant.m != k - 1 or not plant.G[:k, :].is_zero_matrix:
+        return f"G is not that of {k - 1} forces on {k} coordinates"
+    inputs, damping = plant.G[k:, :], plant.R[k:, k:]
+    if not plant.R[:k, :].is_zero_matrix:
+        return "R damps coordinates"
+    if (inputs.free_symbols | damping.free_symbols) & set(p):
+        return "G or R depends on momenta"
+    inverse_mass = sp.hessian(plant.H, p).applyfunc(short)
+    potential = plant.H.subs(dict.fromkeys(p, 0))
+    kinetic = (sp.Matrix([p]) * inverse_mass * sp.Matrix(p))[0] / 2
+    if inverse_mass.free_symbols & set(p) or is_zero(plant.H - kinetic - potential) is not True:
+        return "H is not ½pᵀM⁻¹(q)p + V(q)"
+    return MechanicalModel(
+        plant,
+        q,
+        p,
+        sp.symbols([f"v_{s}" for s in q], real=True, cls=sp.Dummy),
+        sp.ImmutableMatrix(inverse_mass),
+        potential,
+        damping,
+        inputs,
+    )
+
+
+def short(expr: sp.Expr) -> sp.Expr:
+    """The same function as one fraction in lowest terms, with sin² replaced by 1 − cos².
+
+    Much faster than a search for the shortest form, and nearly as short for what is formed from M.
+    """
+    expr = sp.sympify(expr)
+    if not expr.free_symbols:
+        return tidy(expr)
+    expr = sp.expand_trig(expr.replace(sp.tan, lambda a: sp.sin(a) / sp.cos(a)))
+    angles = sorted({f.args[0] for f in expr.atoms(sp.sin, sp.cos)}, key=str)
+    pairs = {a: (sp.Dummy("c"), sp.Dummy("d")) for a in angles}
+    numerator, denominator = sp.fraction(
+        sp.together(
+            expr.xreplace({f(a): s for a, pair in pairs.items() for f, s in zip((sp.cos, sp.sin), pair, strict=True)})
+        )
+    )
+    for c, d in pairs.values():
+        numerator, denominator = (
+            sp.rem(sp.expand(part), c**2 + d**2 - 1, d) if part.has(d) else part
+            for part in (numerator, denominator)
+        )
+    numerator, denominator = sp.fraction(sp.cancel(numerator / denominator))
+    result = sp.factor_terms(numerator) / sp.factor(denominator)
+    return result.xreplace({s: f(a) for a, pair in pairs.items() for f, s in zip((sp.cos, sp.sin), pair, strict=True)})
