@@ -24,7 +24,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import combinations
+from itertools import combinations, combinations_with_replacement
 
 import sympy as sp
 
@@ -102,6 +102,7 @@ class _Shape:
     """What determines a mechanical target structure."""
 
     M_d: sp.Matrix  # k × k, of q
+    inverse: sp.Matrix  # M_d⁻¹
     V_d: sp.Expr
     gammas: tuple[sp.Expr, ...]  # γ, k − 1
     slopes: sp.Matrix  # ∇γ, k × k − 1, as it was integrated
@@ -217,7 +218,7 @@ def _constant_inertia(question: _Question) -> _Shape | str | None:
         towards = slope * sign(question.at_target(row.g_perp[a]))
         M_d[r, a] = M_d[a, r] = towards * _COUPLED * question.size(a) / len(coupled)
     M_d = question.unit * M_d
-    return _integrated(question, M_d, M_d * row.g_perp.T)
+    return _integrated(question, M_d, M_d.inv(), M_d * row.g_perp.T)
 
 
 def _one_coordinate(question: _Question) -> _Shape | str | None:
@@ -230,21 +231,30 @@ def _one_coordinate(question: _Question) -> _Shape | str | None:
         return f"it is made for targets at which the potential of {question.q_r} has a maximum"
     if not row.g_perp.free_symbols and row.gamma.is_zero_matrix:
         return "it is the one with constant M_d"
-    free, g = sp.zeros(question.model.k), sp.zeros(question.model.k)
-    for a in question.others:
-        free[a, a] = question.unit * question.size(a) ** 2
-        g[a, a], g[r, a] = 1, -row.g_perp[a]
     for kappa in _kappas(question, coupled):
         K = _direction(question, coupled, kappa)
         ratio = question.integral(_rate(question, K))
         if ratio is None:
             continue
-        beta = -question.unit * sp.exp(ratio)
-        M_d = (beta / (1 + kappa) * K * K.T + g * free * g.T).applyfunc(sp.powsimp)
-        shape = _integrated(question, M_d, beta * K)
+        shape = _along(question, K, -question.unit * sp.exp(ratio))
         if isinstance(shape, _Shape):
             return shape
     return "no quadrature in closed form was found"
+
+
+def _along(question: _Question, K: sp.Matrix, beta: sp.Expr) -> _Shape | str:
+    """M_d = bbᵀ/(g⊥b) + gΛgᵀ with b = βK, and its inverse by the basis dual to (b, g)."""
+    row, k = question.row, question.model.k
+    e = sp.Matrix(row.g_perp).T
+    mu = short((e.T * K)[0])
+    M_d, inverse = beta / mu * K * K.T, e * e.T / (beta * mu)
+    for a in question.others:
+        unit = sp.eye(k)[:, a]
+        g = unit - e[a] * sp.eye(k)[:, row.r]
+        dual = unit - K[a] / mu * e
+        size = question.unit * question.size(a) ** 2
+        M_d, inverse = M_d + size * g * g.T, inverse + dual * dual.T / size
+    return _integrated(question, M_d.applyfunc(short), inverse.applyfunc(short), beta * K)
 
 
 def _direction(question: _Question, coupled: Sequence[int], kappa: sp.Expr) -> sp.Matrix:
@@ -271,7 +281,7 @@ def _kappas(question: _Question, coupled: Sequence[int]) -> Iterator[sp.Expr]:
     rate = _rate(question, _direction(question, coupled, kappa))
     power = sp.together(question.at_target(sp.diff(rate, question.q_r)))
     for whole in range(1, _MOST_POWER + 1):
-        roots = sp.roots(sp.numer(sp.together(power + whole)), kappa)
+        roots = map(sp.radsimp, sp.roots(sp.numer(sp.together(power + whole)), kappa))
         yield from (root for root in roots if root.is_real and sign(root + 1) == -1)
 
 
@@ -304,10 +314,12 @@ def _constant_off_r(question: _Question) -> _Shape | str | None:
     M_d, slopes = sp.zeros(2), sp.zeros(2, 1)
     M_d[r, r], M_d[r, a], M_d[a, r], M_d[a, a] = b_r, c, c, 2 * c**2 / b_r
     slopes[r], slopes[a] = -rising / root, 1
-    return _Shape(M_d, V_d, (q_a + part,), slopes)
+    return _Shape(M_d, M_d.inv(), V_d, (q_a + part,), slopes)
 
 
-def _integrated(question: _Question, M_d: sp.Matrix, b: sp.Matrix) -> _Shape | str:
+def _integrated(
+    question: _Question, M_d: sp.Matrix, inverse: sp.Matrix, b: sp.Matrix
+) -> _Shape | str:
     """V_d and γ of a b that depends on q_r alone."""
     row, r = question.row, question.row.r
     V_d = question.integral(row.s / b[r])
@@ -321,7 +333,7 @@ def _integrated(question: _Question, M_d: sp.Matrix, b: sp.Matrix) -> _Shape | s
         if part is None:
             return "no closed form of γ was found"
         gammas.append(question.model.q[a] + part)
-    return _Shape(M_d, V_d, tuple(gammas), slopes)
+    return _Shape(M_d, inverse, V_d, tuple(gammas), slopes)
 
 
 _FAMILIES = {
@@ -334,9 +346,8 @@ _FAMILIES = {
 def _matching(question: _Question, shape: _Shape) -> Matching:
     """The structure in the plant's states (q, p), and the input that gives it."""
     model, plant = question.model, question.model.plant
-    k, mass, M_d = model.k, model.mass, shape.M_d
-    inverse = M_d.inv().applyfunc(short)
-    J2 = _gyroscopic(question, M_d, inverse)
+    k, mass, M_d, inverse = model.k, model.mass, shape.M_d, shape.inverse
+    J2 = _gyroscopic(question, shape)
     L = (mass * sp.Matrix(model.v)).jacobian(model.q)
     turning = L * M_d * mass - mass * M_d * L.T + mass * J2 * mass
     cross = (M_d * mass).applyfunc(short)
@@ -350,7 +361,7 @@ def _matching(question: _Question, shape: _Shape) -> Matching:
     H = _in_momenta(kinetic, model) + shape.V_d
     free = (mass * M_d * shape.slopes).applyfunc(short)
     rows, solve = _input_rows(question)
-    u0 = solve * _force(question, shape, J2, inverse).extract(rows, [0])
+    u0 = solve * _force(question, shape, J2).extract(rows, [0])
     A = (solve * free.extract(rows, list(range(k - 1)))).applyfunc(short)
     return Matching(
         drift=(plant.J - plant.R) * plant.grad_H,
@@ -371,17 +382,17 @@ def _matching(question: _Question, shape: _Shape) -> Matching:
     )
 
 
-def _gyroscopic(question: _Question, M_d: sp.Matrix, inverse: sp.Matrix) -> sp.Matrix:
+def _gyroscopic(question: _Question, shape: _Shape) -> sp.Matrix:
     """J₂, linear in p̃ = M_d⁻¹v, with g⊥J₂p̃ = p̃ᵀQp̃ and Q = M_dΓM_d − ½ b·∇M_d.
 
     Q vanishes along g⊥ᵀ by the kinetic equation, so that p̃ᵀQp̃ = d·l with dₐ = p̃ₐ − g⊥ₐp̃ᵣ.
     """
-    row, r, q = question.row, question.row.r, question.model.q
+    row, r, q, M_d = question.row, question.row.r, question.model.q, shape.M_d
     e = sp.Matrix(row.g_perp).T
     b = M_d * e
     along = sum((b[i] * M_d.diff(s) for i, s in enumerate(q)), sp.zeros(len(q)))
     Q = (M_d * row.gamma * M_d - along / 2).applyfunc(short)
-    momentum = inverse * sp.Matrix(question.model.v)
+    momentum = shape.inverse * sp.Matrix(question.model.v)
     J2 = sp.zeros(len(q))
     d = momentum - e * momentum[r]
     for a in question.others:
@@ -390,14 +401,12 @@ def _gyroscopic(question: _Question, M_d: sp.Matrix, inverse: sp.Matrix) -> sp.M
     return J2
 
 
-def _force(
-    question: _Question, shape: _Shape, J2: sp.Matrix, inverse: sp.Matrix
-) -> sp.Matrix:
+def _force(question: _Question, shape: _Shape, J2: sp.Matrix) -> sp.Matrix:
     """B u₀ = Mv̇ + c + ∇V + Dv, of q and v, for the accelerations of the target structure."""
     model, row = question.model, question.row
     v = sp.Matrix(model.v)
-    H = (v.T * inverse * v)[0] / 2 + shape.V_d
-    wanted = J2 * inverse * v - shape.M_d * gradient(H, model.q)
+    H = (v.T * shape.inverse * v)[0] / 2 + shape.V_d
+    wanted = J2 * shape.inverse * v - shape.M_d * gradient(H, model.q)
     rate = sp.Matrix(wanted)
     rate[row.r] = -row.s + (v.T * row.gamma * v)[0]
     rate[row.r] -= sum((row.g_perp[a] * wanted[a] for a in question.others), sp.Integer(0))
@@ -412,16 +421,16 @@ def _input_rows(question: _Question) -> tuple[list[int], sp.Matrix]:
 
 
 def _in_momenta(expr: sp.Expr, model: MechanicalModel) -> sp.Expr:
-    """A polynomial in v, with v = M⁻¹p, as one in p with short coefficients."""
-    moving = dict(zip(model.v, model.velocity, strict=True))
-    expr = sp.sympify(expr).xreplace(moving)
-    if not expr.free_symbols & set(model.p):
-        return short(expr)
-    terms = sp.Poly(expr, *model.p).terms()
-    return sp.Add(*[
-        short(coefficient) * sp.Mul(*[s**e for s, e in zip(model.p, powers, strict=True)])
-        for powers, coefficient in terms
-    ])  # fmt: skip
+    """A quadratic polynomial in v, with v = M⁻¹p, as one in p with short coefficients."""
+    expr, rest = sp.sympify(expr), dict.fromkeys(model.v, 0)
+    p, inverse = sp.Matrix(model.p), model.inverse_mass
+    linear = inverse * gradient(expr, model.v).subs(rest)
+    quadratic = inverse * sp.hessian(expr, model.v).applyfunc(short) * inverse / 2
+    terms = [short(expr.subs(rest)), *(short(a) * s for a, s in zip(linear, p, strict=True))]
+    for i, j in combinations_with_replacement(range(model.k), 2):
+        entry = quadratic[i, j] * (1 if i == j else 2)
+        terms.append(short(entry) * p[i] * p[j])
+    return sp.Add(*terms)
 
 
 def _near(value: sp.Expr) -> sp.Expr:

@@ -129,7 +129,7 @@ def mechanical_model(plant: Plant) -> MechanicalModel | str:
 
 
 def short(expr: sp.Expr) -> sp.Expr:
-    """The same function as one fraction in lowest terms, with sin² replaced by 1 − cos².
+    """The same function as one fraction in lowest terms: sin² as 1 − cos², no surd below.
 
     Much faster than a search for the shortest form, and nearly as short for what is formed from M.
     """
@@ -137,18 +137,27 @@ def short(expr: sp.Expr) -> sp.Expr:
     if not expr.free_symbols:
         return tidy(expr)
     expr = sp.expand_trig(expr.replace(sp.tan, lambda a: sp.sin(a) / sp.cos(a)))
-    angles = sorted({f.args[0] for f in expr.atoms(sp.sin, sp.cos)}, key=str)
-    pairs = {a: (sp.Dummy("c"), sp.Dummy("d")) for a in angles}
-    numerator, denominator = sp.fraction(
-        sp.together(
-            expr.xreplace({f(a): s for a, pair in pairs.items() for f, s in zip((sp.cos, sp.sin), pair, strict=True)})
-        )
-    )
-    for c, d in pairs.values():
-        numerator, denominator = (
-            sp.rem(sp.expand(part), c**2 + d**2 - 1, d) if part.has(d) else part
-            for part in (numerator, denominator)
-        )
+    names = dict[sp.Expr, sp.Expr]()
+    relations = list[tuple[sp.Expr, sp.Symbol]]()
+    for angle in sorted({f.args[0] for f in expr.atoms(sp.sin, sp.cos)}, key=str):
+        c, d = sp.Dummy("c"), sp.Dummy("d")
+        names |= {sp.cos(angle): c, sp.sin(angle): d}
+        relations.append((c**2 + d**2 - 1, d))
+    for root in sorted((e for e in expr.atoms(sp.Pow) if _is_surd(e)), key=str):
+        w = sp.Dummy("w")
+        names |= {root: w, 1 / root: w / root.base}
+        relations.append((w**2 - root.base, w))
+    numerator, denominator = sp.fraction(sp.together(expr.xreplace(names)))
+    for relation, s in relations:
+        mirrored = sp.rem(sp.expand(denominator), relation, s).subs(s, -s)
+        factor = mirrored if mirrored.has(s) else sp.Integer(1)
+        numerator = sp.rem(sp.expand(numerator * factor), relation, s)
+        denominator = sp.rem(sp.expand(denominator * factor), relation, s)
     numerator, denominator = sp.fraction(sp.cancel(numerator / denominator))
     result = sp.factor_terms(numerator) / sp.factor(denominator)
-    return result.xreplace({s: f(a) for a, pair in pairs.items() for f, s in zip((sp.cos, sp.sin), pair, strict=True)})
+    return result.xreplace({s: e for e, s in names.items() if s.is_Symbol})
+
+
+def _is_surd(expr: sp.Expr) -> bool:
+    """Whether it is the square root of a rational number."""
+    return bool(expr.base.is_Rational and abs(expr.exp) == sp.Rational(1, 2))

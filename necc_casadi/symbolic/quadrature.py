@@ -92,6 +92,7 @@ def _over_half_angle(A: sp.Expr, c: sp.Symbol, s: sp.Symbol, at: sp.Expr) -> sp.
         return sp.Integer(0)
     if A.is_polynomial(c):
         return primitive(sp.expand(A.subs(c, sp.cos(s))), s)
+    coefficient, A = A.as_independent(c, as_Add=False)
     turns = sp.floor(at / sp.pi + sp.Rational(1, 2))
     t = sp.Dummy("t", real=True)
     cosine = (-1) ** turns * (1 - t**2) / (1 + t**2)
@@ -99,7 +100,8 @@ def _over_half_angle(A: sp.Expr, c: sp.Symbol, s: sp.Symbol, at: sp.Expr) -> sp.
     if integral is None:
         return None
     half = (s - turns * sp.pi) / 2
-    return integral.replace(sp.atan, lambda a: half if a == t else sp.atan(a)).subs(t, sp.tan(half))
+    integral = integral.replace(sp.atan, lambda a: half if a == t else sp.atan(a))
+    return sp.radsimp(coefficient) * integral.subs(t, sp.tan(half))
 
 
 def _rational(f: sp.Expr, s: sp.Symbol) -> sp.Expr | None:
