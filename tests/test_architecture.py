@@ -20,7 +20,9 @@ ORDER = (
     ("symbolic",),
     ("model",),
     ("casimirs",),
-    ("verdict", "lyapunov"),
+    ("verdict",),
+    ("methods",),
+    ("lyapunov",),
     ("designs",),
     ("simulation", "certificate"),
     ("export", "performance"),
@@ -33,7 +35,7 @@ ORDER = (
 #: The same within certificate/: the prover and the checker know the claims, never each other.
 CERTIFICATE_ORDER = (("claims",), ("prover", "checker"))
 #: sympy up to here, CasADi from the next line on; these alone know both.
-SYMBOLIC = {"symbolic", "model", "casimirs", "verdict"}
+SYMBOLIC = {"symbolic", "model", "casimirs", "verdict", "methods"}
 BOTH = {"lyapunov/sympy2casadi", "synthesis/sample_box"}
 
 FILES = {

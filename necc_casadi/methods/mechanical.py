@@ -2,7 +2,7 @@
 
 In coordinates and velocities (q, v) the target structure is
 
-    F_d = [0, M_d; −M_d, J₂],   H₀ = ½vᵀM_d⁻¹v + V_d(q)               docs/theory.md#methods
+    F_d = [0, M_d; −M_d, J₂],   H₀ = ½vᵀM_d⁻¹v + V_d(q)               docs/theory.md#mechanical-structures
 
 and with b = M_d g⊥ᵀ the plant matches it where
 
@@ -165,18 +165,32 @@ def _obstacle(
         reason = "no entry of the row that no input enters is proved to differ from 0 at the target"
         return NoStructure("mechanical", reason, False)
     question = questions[0]
-    model = question.model
-    at_rest = [is_zero(x_star[s]) for s in model.p]
-    forces = is_zero(question.at_target(question.row.s))
-    if forces is not True or not all(rest is True for rest in at_rest):
-        proved = forces is False or False in at_rest
-        reason = "the target is no equilibrium" if proved else "the equilibrium is not proved"
-        return NoStructure("mechanical", reason, proved)
-    for question in questions:
-        friction = is_zero(question.row.friction)
-        if friction is not True:
-            return _of_friction(question)
-    return None
+    at_rest = [is_zero(x_star[s]) for s in question.model.p]
+    still = [is_zero(question.at_target(question.row.s)), *at_rest]
+    if False in still:
+        return NoStructure("mechanical", "the target is no equilibrium", True)
+    if None in still:
+        return NoStructure("mechanical", "the target is not proved to be an equilibrium", False)
+    damped = [_of_friction(q) for q in questions if is_zero(q.row.friction) is not True]
+    proved = next((obstacle for obstacle in damped if obstacle.proved), None)
+    return proved or next(iter(damped), None) or _of_curvature(questions[0])
+
+
+def _of_curvature(question: _Question) -> NoStructure | None:
+    """With ∇s = −c g⊥ᵀ, c ≥ 0, at the target, b·∇s = −c g⊥M_dg⊥ᵀ ≤ 0 for every M_d ≻ 0."""
+    row = question.row
+    slopes = [question.at_target(slope) for slope in gradient(row.s, question.model.q)]
+    parallel = [
+        slope - slopes[row.r] * question.at_target(e)
+        for slope, e in zip(slopes, row.g_perp, strict=True)
+    ]
+    if not all(is_zero(entry) is True for entry in parallel) or sign(slopes[row.r]) not in (0, -1):
+        return None
+    reason = (
+        "no mechanical structure has a minimum there, because the force that no input opposes "
+        "changes only along the row that no input enters"
+    )
+    return NoStructure("mechanical", reason, True)
 
 
 def _of_friction(question: _Question) -> NoStructure:
@@ -193,10 +207,10 @@ def _of_friction(question: _Question) -> NoStructure:
         reason = f"friction on the unactuated coordinate {name} is not covered"
         return NoStructure("mechanical", reason, False)
     reason = (
-        f"friction on the unactuated coordinate {name}: every mechanical F_d that keeps it adds "
-        f"energy where the potential of {name} has a maximum"
+        f"no mechanical structure: with friction on the unactuated coordinate {name}, a minimum "
+        f"where its potential has a maximum would need dissipation of the wrong sign"
     )
-    return NoStructure("mechanical", f"no mechanical structure: {reason}", True)
+    return NoStructure("mechanical", reason, True)
 
 
 def _constant_inertia(question: _Question) -> _Shape | str | None:
@@ -205,25 +219,23 @@ def _constant_inertia(question: _Question) -> _Shape | str | None:
     if not question.of_one_coordinate or not row.gamma.is_zero_matrix:
         return None
     slope = question.slope
-    coupled = [a for a in question.others if sign(question.at_target(row.g_perp[a])) in (1, -1)]
     if slope not in (1, -1):
         return f"the force on {question.q_r} has no slope at the target"
-    if not coupled:
-        return f"no input couples to {question.q_r} at the target"
+    coupled = [a for a in question.others if sign(question.at_target(row.g_perp[a])) in (1, -1)]
     M_d = sp.zeros(question.model.k)
     M_d[r, r] = _OWN
     for a in question.others:
         M_d[a, a] = _OTHER * question.size(a) ** 2
     for a in coupled:
-        towards = slope * sign(question.at_target(row.g_perp[a]))
+        towards = sp.sign(question.at_target(row.g_perp[a])) * slope
         M_d[r, a] = M_d[a, r] = towards * _COUPLED * question.size(a) / len(coupled)
     M_d = question.unit * M_d
-    return _integrated(question, M_d, M_d.inv(), M_d * row.g_perp.T)
+    return _integrated(question, M_d, M_d.inv(), M_d * sp.Matrix(row.g_perp.T))
 
 
 def _one_coordinate(question: _Question) -> _Shape | str | None:
-    """b = β(q_r) K(q_r) with Kᵣ = 1, Kₐ ~ κ/g⊥ₐ, so that g⊥K = 1 + κ, a constant."""
-    row, r = question.row, question.row.r
+    """With b = β(q_r) K(q_r), where Kᵣ = 1 and Kₐ ~ κ/g⊥ₐ, so that g⊥K = 1 + κ is constant."""
+    row = question.row
     coupled = [a for a in question.others if sign(question.at_target(row.g_perp[a])) in (1, -1)]
     if not question.of_one_coordinate or not coupled:
         return None
@@ -281,7 +293,7 @@ def _kappas(question: _Question, coupled: Sequence[int]) -> Iterator[sp.Expr]:
     rate = _rate(question, _direction(question, coupled, kappa))
     power = sp.together(question.at_target(sp.diff(rate, question.q_r)))
     for whole in range(1, _MOST_POWER + 1):
-        roots = map(sp.radsimp, sp.roots(sp.numer(sp.together(power + whole)), kappa))
+        roots = map(sp.radsimp, sp.solve(sp.numer(sp.together(power + whole)), kappa))
         yield from (root for root in roots if root.is_real and sign(root + 1) == -1)
 
 
@@ -302,7 +314,7 @@ def _constant_off_r(question: _Question) -> _Shape | str | None:
     if square is None:
         return "no quadrature in closed form was found"
     length = 1 / question.size(a)
-    square = sp.factor(square + question.at_target(sp.diff(square, q_r, 2)) / 2 * length**2)
+    square = sp.factor(square + question.at_target(sp.diff(square, q_r, q_r)) / 2 * length**2)
     if sign(question.at_target(square)) != 1:
         return f"b vanishes along {q_r}"
     c, root = rising * question.unit / length, sp.sqrt(square)
@@ -360,7 +372,8 @@ def _matching(question: _Question, shape: _Shape) -> Matching:
     kinetic = (v.T * inverse * v)[0] / 2
     H = _in_momenta(kinetic, model) + shape.V_d
     free = (mass * M_d * shape.slopes).applyfunc(short)
-    rows, solve = _input_rows(question)
+    rows = list(question.row.input_rows)
+    solve = sp.Matrix(plant.G[k:, :]).extract(rows, list(range(k - 1))).inv().applyfunc(short)
     u0 = solve * _force(question, shape, J2).extract(rows, [0])
     A = (solve * free.extract(rows, list(range(k - 1)))).applyfunc(short)
     return Matching(
@@ -401,7 +414,7 @@ def _gyroscopic(question: _Question, shape: _Shape) -> sp.Matrix:
     return J2
 
 
-def _force(question: _Question, shape: _Shape, J2: sp.Matrix) -> sp.Matrix:
+def _force(question: _Question, shape: _Shape, J2: sp.Matrix) -> sp.ImmutableMatrix:
     """B u₀ = Mv̇ + c + ∇V + Dv, of q and v, for the accelerations of the target structure."""
     model, row = question.model, question.row
     v = sp.Matrix(model.v)
@@ -410,14 +423,9 @@ def _force(question: _Question, shape: _Shape, J2: sp.Matrix) -> sp.Matrix:
     rate = sp.Matrix(wanted)
     rate[row.r] = -row.s + (v.T * row.gamma * v)[0]
     rate[row.r] -= sum((row.g_perp[a] * wanted[a] for a in question.others), sp.Integer(0))
-    return model.mass * rate + model.coriolis + gradient(model.potential, model.q) + model.damping * v
-
-
-def _input_rows(question: _Question) -> tuple[list[int], sp.Matrix]:
-    """Rows of B that are independent at the target, and their inverse."""
-    B = sp.Matrix(question.model.inputs)
-    rows = list(question.others)  # independent, for g⊥ᵣ = 1 and g⊥M⁻¹B = 0 … of B⊥
-    return rows, B.extract(rows, list(range(B.cols))).inv().applyfunc(short)
+    return (
+        model.mass * rate + model.coriolis + gradient(model.potential, model.q) + model.damping * v
+    )
 
 
 def _in_momenta(expr: sp.Expr, model: MechanicalModel) -> sp.Expr:

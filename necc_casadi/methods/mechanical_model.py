@@ -1,7 +1,7 @@
 """Mechanical plants with one unactuated direction, and their partial linearisation.
 
 x = (q, p),  H = ½pᵀM⁻¹(q)p + V(q),  J canonical,  R = [0, 0; 0, D],  G = [0; B(q)],
-rank B = dim q − 1                                                   docs/theory.md#methods
+rank B = dim q − 1                                                   docs/theory.md#mechanical-structures
 
 With B⊥B = 0 and v = M⁻¹p, B⊥(Mv̇ + …) = 0 is a row that no input enters. Divided by its entry at
 one coordinate q_r it reads  g⊥v̇ = −s(q) + vᵀΓ(q)v − friction;  the accelerations of the other
@@ -37,6 +37,7 @@ class FreeRow:
     s: sp.Expr
     gamma: sp.ImmutableMatrix  # Γ, k × k, symmetric
     friction: sp.Expr  # d, of q and v
+    input_rows: tuple[int, ...]  # k − 1 rows of B that are independent at the target
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,12 +65,12 @@ class MechanicalModel:
 
     @cached_property
     def velocity(self) -> sp.ImmutableMatrix:
-        """v = M⁻¹p."""
+        """M⁻¹p."""
         return self.inverse_mass * sp.Matrix(self.p)
 
     @cached_property
     def coriolis(self) -> sp.ImmutableMatrix:
-        """c = Ṁv − ½∇_q(vᵀMv), of q and v: Mv̇ + c + ∇V + Dv = Bu."""
+        """Ṁv − ½∇_q(vᵀMv) =: c, of q and v: Mv̇ + c + ∇V + Dv = Bu."""
         v = sp.Matrix(self.v)
         momentum = self.mass * v
         kinetic = (v.T * self.mass * v)[0] / 2
@@ -78,19 +79,23 @@ class MechanicalModel:
     def free_rows(self, x_star: Mapping[sp.Symbol, sp.Expr]) -> Iterator[FreeRow]:
         """The row that no input enters, divided by each of its entries that is not 0 at x*."""
         annihilator = kernel(sp.Matrix(self.inputs).T).T
+        unactuated = _nonzero(annihilator, x_star)
+        if not unactuated:
+            return
+        rows = tuple(i for i in range(self.k) if i != unactuated[0])
         row = (annihilator * self.mass).applyfunc(short)
         slope = gradient(self.potential, self.q)
         loss = self.damping * sp.Matrix(self.v)
-        for r, pivot in enumerate(row):
-            if sign(value_at(pivot, x_star)) not in (1, -1):
-                continue
-            curving = sp.hessian((annihilator * self.coriolis)[0], self.v)
+        curving = sp.hessian((annihilator * self.coriolis)[0], self.v)
+        for r in _nonzero(row, x_star):
+            pivot = row[r]
             yield FreeRow(
                 r,
                 sp.ImmutableMatrix((row / pivot).applyfunc(short)),
                 short((annihilator * slope)[0] / pivot),
                 sp.ImmutableMatrix((-curving / (2 * pivot)).applyfunc(short)),
                 short((annihilator * loss)[0] / pivot),
+                rows,
             )
 
 
@@ -101,8 +106,9 @@ def mechanical_model(plant: Plant) -> MechanicalModel | str:
         return "the states are no two or more coordinates followed by their momenta"
     k = n // 2
     q, p = plant.x[:k], plant.x[k:]
-    canonical = sp.Matrix(sp.BlockMatrix([[sp.zeros(k), sp.eye(k)], [-sp.eye(k), sp.zeros(k)]]))
-    if canonical != plant.J:
+    canonical = sp.zeros(n)
+    canonical[:k, k:], canonical[k:, :k] = sp.eye(k), -sp.eye(k)
+    if sp.ImmutableMatrix(canonical) != plant.J:
         return "J is not canonical in the states (q, p)"
     if plant.m != k - 1 or not plant.G[:k, :].is_zero_matrix:
         return f"G is not that of {k - 1} forces on {k} coordinates"
@@ -120,12 +126,17 @@ def mechanical_model(plant: Plant) -> MechanicalModel | str:
         plant,
         q,
         p,
-        sp.symbols([f"v_{s}" for s in q], real=True, cls=sp.Dummy),
+        tuple(sp.Dummy(f"v_{s}", real=True) for s in q),
         sp.ImmutableMatrix(inverse_mass),
         potential,
         damping,
         inputs,
     )
+
+
+def _nonzero(row: sp.MatrixBase, x_star: Mapping[sp.Symbol, sp.Expr]) -> list[int]:
+    """Places of the entries that are proved to differ from 0 at the target."""
+    return [i for i, entry in enumerate(row) if sign(value_at(entry, x_star)) in (1, -1)]
 
 
 def short(expr: sp.Expr) -> sp.Expr:
@@ -143,10 +154,10 @@ def short(expr: sp.Expr) -> sp.Expr:
         c, d = sp.Dummy("c"), sp.Dummy("d")
         names |= {sp.cos(angle): c, sp.sin(angle): d}
         relations.append((c**2 + d**2 - 1, d))
-    for root in sorted((e for e in expr.atoms(sp.Pow) if _is_surd(e)), key=str):
+    for radicand in sorted({e.base for e in expr.atoms(sp.Pow) if _is_surd(e)}, key=str):
         w = sp.Dummy("w")
-        names |= {root: w, 1 / root: w / root.base}
-        relations.append((w**2 - root.base, w))
+        names |= {sp.sqrt(radicand): w, 1 / sp.sqrt(radicand): w / radicand}
+        relations.append((w**2 - radicand, w))
     numerator, denominator = sp.fraction(sp.together(expr.xreplace(names)))
     for relation, s in relations:
         mirrored = sp.rem(sp.expand(denominator), relation, s).subs(s, -s)
@@ -158,6 +169,6 @@ def short(expr: sp.Expr) -> sp.Expr:
     return result.xreplace({s: e for e, s in names.items() if s.is_Symbol})
 
 
-def _is_surd(expr: sp.Expr) -> bool:
-    """Whether it is the square root of a rational number."""
-    return bool(expr.base.is_Rational and abs(expr.exp) == sp.Rational(1, 2))
+def _is_surd(power: sp.Pow) -> bool:
+    """Whether it is the square root of a rational number, or one over that."""
+    return power.base.is_Rational and abs(power.exp) == sp.Rational(1, 2)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from functools import cache
+from functools import lru_cache
 
 import sympy as sp
 from sympy.integrals.rationaltools import ratint
 
 from necc_casadi.symbolic.expressions import exact, is_finite, non_smooth_part
+from necc_casadi.symbolic.floats import to_float
 from necc_casadi.symbolic.linear_algebra import tidy
 from necc_casadi.symbolic.primitive import primitive
 from necc_casadi.symbolic.zero import is_zero, sign
@@ -19,7 +20,7 @@ __all__ = ["quadrature"]
 _MOST_OPERATIONS = 400
 
 
-@cache
+@lru_cache(maxsize=512)
 def quadrature(f: sp.Expr, s: sp.Symbol, at: sp.Expr) -> sp.Expr | None:
     """F with dF/ds = f and F(at) = 0, smooth at `at`; None where no closed form was found.
 
@@ -50,7 +51,7 @@ def _regular(F: sp.Expr, s: sp.Symbol, at: sp.Expr) -> sp.Expr | None:
         return sp.log(-argument) if negative else sp.log(argument)
 
     F = exact(F).replace(sp.log, positive)
-    if F.has(sp.I, sp.RootSum, sp.Integral) or non_smooth_part(F) is not None:
+    if F.has(sp.I) or non_smooth_part(F) is not None:
         return None
     value = F.subs(s, at)
     if not is_finite(value):
@@ -93,9 +94,9 @@ def _over_half_angle(A: sp.Expr, c: sp.Symbol, s: sp.Symbol, at: sp.Expr) -> sp.
     if A.is_polynomial(c):
         return primitive(sp.expand(A.subs(c, sp.cos(s))), s)
     coefficient, A = A.as_independent(c, as_Add=False)
-    turns = sp.floor(at / sp.pi + sp.Rational(1, 2))
+    turns = round(to_float(at / sp.pi))
     t = sp.Dummy("t", real=True)
-    cosine = (-1) ** turns * (1 - t**2) / (1 + t**2)
+    cosine = (-1 if turns % 2 else 1) * (1 - t**2) / (1 + t**2)
     integral = _rational(sp.cancel(A.subs(c, cosine) * 2 / (1 + t**2)), t)
     if integral is None:
         return None

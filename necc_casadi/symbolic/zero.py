@@ -131,9 +131,10 @@ def normal_form(expr: sp.Expr) -> sp.Expr:
 def _roots(expr: sp.Expr) -> dict[sp.Expr, int]:
     """Bases under fractional powers with the common denominator of those, the innermost first."""
     roots = dict[sp.Expr, int]()
-    for part in sp.postorder_traversal(expr):
-        if part.is_Pow and part.base.free_symbols and part.exp.is_Rational and part.exp.q > 1:
-            roots[part.base] = math.lcm(roots.get(part.base, 1), int(part.exp.q))
+    for power in sorted(expr.atoms(sp.Pow), key=lambda power: power.count_ops()):
+        base, exponent = power.base, power.exp
+        if base.free_symbols and isinstance(exponent, sp.Rational) and not exponent.is_Integer:
+            roots[base] = math.lcm(roots.get(base, 1), int(exponent.q))
     return roots
 
 
