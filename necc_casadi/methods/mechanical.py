@@ -2,7 +2,7 @@
 
 In coordinates and velocities (q, v) the target structure is
 
-    F_d = [0, M_d; −M_d, J₂],   H₀ = ½vᵀM_d⁻¹v + V_d(q)               docs/theory.md#mechanical-structures
+    F_d = [0, M_d; −M_d, J₂],   H₀ = ½vᵀM_d⁻¹v + V_d(q)    docs/theory.md#mechanical-structures
 
 and with b = M_d g⊥ᵀ the plant matches it where
 

@@ -1,7 +1,7 @@
 """Mechanical plants with one unactuated direction, and their partial linearisation.
 
 x = (q, p),  H = ½pᵀM⁻¹(q)p + V(q),  J canonical,  R = [0, 0; 0, D],  G = [0; B(q)],
-rank B = dim q − 1                                                   docs/theory.md#mechanical-structures
+rank B = dim q − 1                                        docs/theory.md#mechanical-structures
 
 With B⊥B = 0 and v = M⁻¹p, B⊥(Mv̇ + …) = 0 is a row that no input enters. Divided by its entry at
 one coordinate q_r it reads  g⊥v̇ = −s(q) + vᵀΓ(q)v − friction;  the accelerations of the other

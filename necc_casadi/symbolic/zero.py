@@ -17,7 +17,7 @@ import sympy as sp
 from necc_casadi.errors import NeccError
 from necc_casadi.symbolic.arb import certain_sign, excludes_zero
 from necc_casadi.symbolic.constants import vanishes
-from necc_casadi.symbolic.expressions import is_finite
+from necc_casadi.symbolic.expressions import is_finite, split_logarithms
 
 __all__ = ["PROBES", "Undecided", "is_zero", "normal_form", "random_point", "sign"]
 
@@ -111,6 +111,7 @@ def normal_form(expr: sp.Expr) -> sp.Expr:
     combinations and of exponentials that vanishes identically, and with roots of such functions
     for most.
     """
+    expr = split_logarithms(expr)
     roots = _roots(expr)
     if not roots:
         return _resolved(expr)
