@@ -2,20 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import sympy as sp
 
 from necc_casadi.cases import MethodWord
+from necc_casadi.casimirs.condition import is_casimir
 from necc_casadi.casimirs.find import find_casimirs
+from necc_casadi.methods.ahead import plant_with_feedback
+from necc_casadi.methods.constant import constant_structure
+from necc_casadi.methods.mechanical import mechanical_structures
 from necc_casadi.methods.method import Method, Refusal
 from necc_casadi.methods.modulated import at_its_minimum, shifted_plant
+from necc_casadi.methods.no_structure import NoStructure
 from necc_casadi.methods.shaping import power_shaping
 from necc_casadi.model.closed_loop import interconnect
 from necc_casadi.model.controller import default_controller
 from necc_casadi.model.model_file import Model
-from necc_casadi.model.modulated import Modulated
+from necc_casadi.model.modulated import Modulated, System
 from necc_casadi.model.plant import Plant
 from necc_casadi.verdict.judge import judge
 
@@ -66,31 +72,18 @@ def find_method(
         Called with what is done next.
     """
     system = model.system
-    if isinstance(system, Plant):
-        say("finding Casimirs")
-        published = _published(model, x_star, say)
-        if wanted in ("auto", "interconnection") and published.verdict.assignable:
-            return Found(published, published)
-        plant = system
-    elif isinstance(system, Modulated):
-        say("looking for the shift of the energy")
-        shifted = shifted_plant(system, x_star)
-        if isinstance(shifted, str):
-            return Found(None, None, (Refusal("modulated", shifted, False),))
-        published, plant = _of_plant(shifted, x_star), shifted
-        damped = at_its_minimum(shifted, x_star)
-        if wanted in ("auto", "modulated") and damped is not None:
-            return Found(published, damped)
-        if wanted in ("auto", "modulated") and published.verdict.assignable:
-            return Found(published, replace(published, name="modulated"))
-    else:
-        published = None
+    published = _published(model, x_star, say) if isinstance(system, Plant) else None
+    asked = published is not None and wanted in ("auto", "interconnection")
+    if published is not None and asked and published.verdict.assignable:
+        return Found(published, published)
+    question = _Question(system, x_star, wanted, say)
+    if isinstance(system, Modulated):
+        published = question.shifted_loop
     refusals: list[Refusal] = []
-    if published is not None and wanted != "interconnection":
-        for answer in _others(plant, x_star, wanted, say):
-            if isinstance(answer, Method):
-                return Found(published, answer, tuple(refusals))
-            refusals.append(answer)
+    for answer in question.answers():
+        if isinstance(answer, Method):
+            return Found(published, answer, tuple(refusals))
+        refusals.append(answer)
     return Found(published, None, tuple(refusals))
 
 
@@ -104,23 +97,115 @@ def _published(
     return Method("interconnection", model.loop, casimirs, verdict)
 
 
-def _of_plant(plant: Plant, x_star: Mapping[sp.Symbol, sp.Expr]) -> Method:
-    """The published loop with one integrator per input."""
+def _of_plant(
+    plant: Plant, x_star: Mapping[sp.Symbol, sp.Expr], gammas: Sequence[sp.Expr] = ()
+) -> Method:
+    """The published loop with one integrator per input, whose Casimirs γ − ξ may be known."""
     loop = interconnect(plant, default_controller(plant))
-    casimirs = find_casimirs(loop, (), x_star)
+    known = [g - s for g, s in zip(gammas, loop.controller.xi, strict=False)]
+    supplied = [c for c in known if is_casimir(c, loop)]
+    casimirs = find_casimirs(loop, supplied, x_star)
     return Method("interconnection", loop, casimirs, judge(loop, casimirs, x_star))
 
 
-def _others(
-    plant: Plant,
-    x_star: Mapping[sp.Symbol, sp.Expr],
-    wanted: MethodWord,
-    say: Callable[[str], None],
-) -> Iterator[Method | Refusal]:
-    """What can be done in place of the published loop, in order."""
-    if wanted in ("auto", "shaping", "modulated"):
-        say("looking for power-shaping outputs")
-        answer = power_shaping(plant, x_star)
-        if isinstance(answer, Method) and plant.preliminary is not None:
-            answer = replace(answer, name="modulated")
-        yield answer
+@dataclass(frozen=True, eq=False)
+class _Question:
+    """A target of a plant, and which methods may answer it."""
+
+    system: System
+    x_star: Mapping[sp.Symbol, sp.Expr]
+    wanted: MethodWord
+    say: Callable[[str], None]
+
+    def answers(self) -> Iterator[Method | Refusal]:
+        """What the methods other than the published loop say, in order."""
+        families = {
+            "modulated": self._modulated,
+            "shaping": self._shaping,
+            "mechanical": self._mechanical,
+            "constant": self._constant,
+        }
+        for name, answers in families.items():
+            if self.wanted in ("auto", name):
+                yield from answers()
+
+    @cached_property
+    def _shifted(self) -> Plant | str:
+        """A plant with inputs in J or sources, as the input beside u* sees it."""
+        if not isinstance(self.system, Modulated):
+            return "no input stands in J or R, and there is no source"
+        self.say("looking for the shift of the energy")
+        return shifted_plant(self.system, self.x_star)
+
+    @cached_property
+    def shifted_loop(self) -> Method | None:
+        """The published loop of that plant."""
+        shifted = self._shifted
+        return None if isinstance(shifted, str) else _of_plant(shifted, self.x_star)
+
+    def _modulated(self) -> Iterator[Method | Refusal]:
+        shifted, loop = self._shifted, self.shifted_loop
+        if isinstance(shifted, str) or loop is None:
+            if isinstance(self.system, Modulated):
+                yield Refusal("modulated", str(shifted), False)
+            return
+        damped = at_its_minimum(shifted, self.x_star)
+        if damped is not None:
+            yield damped
+        if loop.verdict.assignable:
+            yield replace(loop, name="modulated")
+        self.say("looking for power-shaping outputs")
+        yield replace(power_shaping(shifted, self.x_star), name="modulated")
+
+    def _shaping(self) -> Iterator[Method | Refusal]:
+        if isinstance(self.system, Plant):
+            self.say("looking for power-shaping outputs")
+            yield power_shaping(self.system, self.x_star)
+
+    def _mechanical(self) -> Iterator[Method | Refusal]:
+        if not isinstance(self.system, Plant):
+            return
+        self.say("looking for a mechanical target structure")
+        for found in mechanical_structures(self.system, self.x_star):
+            if isinstance(found, NoStructure):
+                yield Refusal("mechanical", found.reason, found.proved)
+                continue
+            plant, gammas = plant_with_feedback(found, self.x_star, self.system)
+            method = _of_plant(plant, self.x_star, gammas)
+            if method.verdict.assignable:
+                yield replace(method, name="mechanical")
+            else:
+                reason = f"a structure matches, but its loop is refused: {method.verdict.reason}"
+                yield Refusal("mechanical", reason, False)
+
+    def _constant(self) -> Iterator[Method | Refusal]:
+        system = self.system
+        if system.directions.free_symbols:
+            yield Refusal("constant", "the inputs do not act in constant directions", False)
+            return
+        self.say("looking for a constant target structure")
+        found = constant_structure(
+            system.drift,
+            system.directions,
+            system.x,
+            self.x_star,
+            sizes=self._sizes,
+            name=system.name,
+            units=system.units,
+            domain=system.domain,
+        )
+        if isinstance(found, NoStructure):
+            yield Refusal("constant", found.reason, found.proved)
+            return
+        plant, _ = plant_with_feedback(found, self.x_star, system)
+        answer = power_shaping(plant, self.x_star)
+        if isinstance(answer, Refusal):
+            answer = at_its_minimum(plant, self.x_star) or answer
+        yield replace(answer, name="constant")
+
+    @property
+    def _sizes(self) -> dict[sp.Symbol, float] | None:
+        """Sizes that the model names."""
+        given = {str(s): s for s in self.system.x}
+        sizes = {given[k]: float(v) for k, v in self.system.sizes.items() if k in given}
+        return sizes if len(sizes) == self.system.n else None

@@ -26,6 +26,7 @@ __all__ = [
     "non_smooth_part",
     "parse",
     "parse_number",
+    "split_logarithms",
     "to_text",
 ]
 
@@ -62,6 +63,9 @@ _MAX_BITS = 50_000
 
 
 _MAX_LENGTH = 2_000_000
+
+
+_LARGEST_PRIME = 10_000  # that is taken out of a logarithm
 
 
 _DECIMAL = re.compile(r"(?:\d+\.?\d*|\.\d+)(?:[eE](?P<exponent>[+-]?\d+))?", re.ASCII)
@@ -222,6 +226,20 @@ def _fits_double(value: sp.Expr) -> bool:
         return math.isfinite(to_float(value))
     except (ArithmeticError, TypeError, ValueError):
         return False
+
+
+def split_logarithms(expr: sp.Expr) -> sp.Expr:
+    """log(6 + 6x) as log 2 + log 3 + log(1 + x): equal logarithms then look equal."""
+    return expr.replace(sp.log, _split_logarithm)
+
+
+def _split_logarithm(argument: sp.Expr) -> sp.Expr:
+    content, part = sp.together(argument).primitive()
+    if not isinstance(content, sp.Rational) or not content > 0:
+        return sp.log(argument)
+    factors = [(prime, k) for prime, k in sp.factorint(content.p, limit=_LARGEST_PRIME).items()]
+    factors += [(prime, -k) for prime, k in sp.factorint(content.q, limit=_LARGEST_PRIME).items()]
+    return sp.Add(*[k * sp.log(prime) for prime, k in factors]) + sp.log(part)
 
 
 def is_finite(expr: sp.Expr | sp.MatrixBase) -> bool:

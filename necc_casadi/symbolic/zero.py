@@ -17,7 +17,7 @@ import sympy as sp
 from necc_casadi.errors import NeccError
 from necc_casadi.symbolic.arb import certain_sign, excludes_zero
 from necc_casadi.symbolic.constants import vanishes
-from necc_casadi.symbolic.expressions import is_finite
+from necc_casadi.symbolic.expressions import is_finite, split_logarithms
 
 __all__ = ["PROBES", "Undecided", "is_zero", "normal_form", "random_point", "sign"]
 
@@ -105,11 +105,41 @@ def _differs(expr: sp.Expr, bits: int) -> bool:
 
 
 def normal_form(expr: sp.Expr) -> sp.Expr:
-    """A numerator of `expr` in which sums of angles, sin² + cos² = 1 and exp(a + b) are resolved.
+    """A numerator of `expr` in which sin² + cos² = 1, exp(a + b) and powers of roots are resolved.
 
     It is 0 for every rational function of the states, of sines and cosines of their rational
-    combinations and of exponentials that vanishes identically.
+    combinations and of exponentials that vanishes identically, and with roots of such functions
+    for most.
     """
+    expr = split_logarithms(expr)
+    roots = _roots(expr)
+    if not roots:
+        return _resolved(expr)
+    names = dict[sp.Expr, sp.Expr]()
+    relations = []
+    for base, degree in roots.items():  # the innermost first
+        root = sp.Dummy("r")
+        inside = base.xreplace(names)
+        relations.append((root, degree, sp.fraction(sp.together(inside))))
+        names |= {e: root ** (e.exp * degree) for e in expr.atoms(sp.Pow) if e.base == base}
+    result = sp.expand(sp.numer(sp.together(expr.xreplace(names))))
+    for root, degree, (numerator, denominator) in reversed(relations):
+        if result.is_polynomial(root):
+            result = sp.expand(sp.prem(result, denominator * root**degree - numerator, root))
+    return _resolved(result)
+
+
+def _roots(expr: sp.Expr) -> dict[sp.Expr, int]:
+    """Bases under fractional powers with the common denominator of those, the innermost first."""
+    roots = dict[sp.Expr, int]()
+    for power in sorted(expr.atoms(sp.Pow), key=lambda power: power.count_ops()):
+        base, exponent = power.base, power.exp
+        if base.free_symbols and isinstance(exponent, sp.Rational) and not exponent.is_Integer:
+            roots[base] = math.lcm(roots.get(base, 1), int(exponent.q))
+    return roots
+
+
+def _resolved(expr: sp.Expr) -> sp.Expr:
     expr = expr.replace(
         lambda e: isinstance(e, (sp.sinh, sp.cosh, sp.tanh)), lambda e: e.rewrite(sp.exp)
     )

@@ -24,6 +24,10 @@ VERDICTS = {
     "hydraulic_cylinder": ("ok", "asymptotic", 1),
     "buck_filter": ("ok", "asymptotic", 1),
     "qube_pendulum": ("ok", "asymptotic", 1),
+    "inertia_wheel": ("invisible_negative_curvature", None, 1),
+    "vtol": ("invisible_gradient", None, 0),
+    "ball_and_beam": ("invisible_flat_curvature", None, 1),
+    "furuta": ("invisible_negative_curvature", None, 1),
 }
 
 

@@ -1,0 +1,26 @@
+"""Pendulum with a flywheel at its end; the motor acts between pendulum and wheel.
+
+θ is the angle of the pendulum from upright, φ that of the wheel, both against the frame.
+Source: Block, Åström, Spong, The Reaction Wheel Pendulum, Morgan & Claypool (2007), for the model
+and its parameters.
+Try: necc-design inertia_wheel.py --target 0
+"""
+
+import sympy as sp
+
+theta, phi, p_theta, p_phi = sp.symbols("theta phi p_theta p_phi", real=True)
+m_rod, m_wheel, g = sp.Rational("0.2164"), sp.Rational("0.085"), sp.Rational("9.81")
+l_rod, l_wheel = sp.Rational("0.1173"), sp.Rational("0.127")  # m, from the pivot
+body = sp.Rational("2.233e-4") + m_rod * l_rod**2 + m_wheel * l_wheel**2  # kg m²
+wheel = sp.Rational("2.495e-5")  # kg m²
+moment = (m_rod * l_rod + m_wheel * l_wheel) * g  # N m
+
+name = "Inertia wheel pendulum"
+x = (theta, phi, p_theta, p_phi)
+J = sp.Matrix([[0, 0, 1, 0], [0, 0, 0, 1], [-1, 0, 0, 0], [0, -1, 0, 0]])
+R = sp.zeros(4, 4)
+G = sp.Matrix([0, 0, -1, 1])
+H = p_theta**2 / (2 * body) + p_phi**2 / (2 * wheel) + moment * (1 + sp.cos(theta))
+
+units = {theta: "rad", phi: "rad", p_theta: "kg m²/s", p_phi: "kg m²/s"}
+target = {theta: 0, phi: 0, p_theta: 0, p_phi: 0}

@@ -1,0 +1,261 @@
+"""Constant target structures: found with exact proofs, refused only with exact proofs."""
+
+import numpy as np
+import pytest
+import sympy as sp
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from necc_casadi.methods.constant import constant_structure
+from necc_casadi.methods.no_structure import NoStructure
+from necc_casadi.methods.refutation import no_constant_structure, uncontrollable_growth
+from necc_casadi.model.matching import Matching
+from necc_casadi.symbolic.definiteness import definiteness
+from necc_casadi.symbolic.floats import float_matrix
+
+R = sp.Rational
+
+
+def levitation():
+    """A ball below a magnet, flux-driven through a coil with resistance."""
+    phi, q, p = x = sp.symbols("phi q p", real=True)
+    k, c, m, g, r = R(1, 20), R(1, 2), R(1, 10), R("9.81"), 2
+    f = [-r * phi * (c + q) / k, p / m, m * g - phi**2 / (2 * k)]
+    return f, [1, 0, 0], x, (sp.sqrt(2 * k * m * g), R(1, 10), 0)
+
+
+def synchronous_motor():
+    """Fluxes and momentum, with losses and a constant load torque, at 100 rad/s."""
+    psi_d, psi_q, p = x = sp.symbols("psi_d psi_q p", real=True)
+    L, Rs, Phi, inertia, b, tau, poles = (
+        R("8.5e-3"), R("2.875"), R("0.175"), R("8e-4"), R("1e-3"), 1, 4
+    )  # fmt: skip
+    w, i_d, i_q = p / inertia, psi_d / L, psi_q / L
+    f = [
+        -Rs * i_d + poles * w * psi_q,
+        -Rs * i_q - poles * w * (psi_d + Phi),
+        poles * (i_q * (psi_d + Phi) - i_d * psi_q) - b * w - tau,
+    ]
+    return f, [[1, 0], [0, 1], [0, 0]], x, (0, L * (100 * b + tau) / (poles * Phi), 100 * inertia)
+
+
+def reactor():
+    """Conversion and temperature of a stirred tank at its unstable point; no energy is known."""
+    c, theta = x = sp.symbols("c theta", real=True)
+    rate = R("0.072") * (1 - c) * sp.exp(theta)
+    k = R("0.072") * sp.exp(2)
+    return [-c + rate, -theta + 8 * rate - R("0.3") * theta], [0, 1], x, (k / (1 + k), 2)
+
+
+def flexible_joint(stiffness=2):
+    """A link held upright by a motor behind a soft spring; friction on both sides."""
+    q, theta, p_q, p_t = x = sp.symbols("q theta p_q p_theta", real=True)
+    pull = stiffness * (q - theta)
+    f = [p_q, 5 * p_t, 5 * sp.sin(q) - pull - p_q / 10, pull - p_t]
+    return f, [0, 0, 0, 1], x, (0, 0, 0, 0)
+
+
+def generator():
+    """A generator with flux decay, driven through its excitation."""
+    delta, omega, E = x = sp.symbols("delta omega E", real=True)
+    f = [omega, 5 * (R("0.8") - E * sp.sin(delta) - omega / 10), -R("0.6") * E + sp.cos(delta) / 2]
+    return f, [0, 0, 1], x, (sp.pi / 6, 0, R("1.6"))
+
+
+def logarithms():
+    """Two logarithms that are one function: B = [−1 2 −3; 1 −3 9] solves (i), (ii), (iii)."""
+    x1, x2, x3 = x = sp.symbols("x1:4", real=True)
+    f = [sp.log(1 + x1) + x2, x3 - sp.log(2 + 2 * x1) + sp.log(2), 0]
+    return f, [0, 0, 1], x, (0, 0, 0)
+
+
+def pendulum_by_torque():
+    q, p = x = sp.symbols("q p", real=True)
+    return [p, sp.sin(q) - p / 5], [0, 1], x, (0, 0)
+
+
+def predator_and_prey():
+    a, b = x = sp.symbols("a b", positive=True)
+    return [a - a * b, a * b - b], [0, 1], x, (1, 1)
+
+
+CASES = [
+    levitation, synchronous_motor, reactor, flexible_joint, generator, logarithms,
+    pendulum_by_torque, predator_and_prey,
+]  # fmt: skip
+
+
+def structure_of(f, G, x, star, **options):
+    target = dict(zip(x, map(sp.sympify, star), strict=True))
+    return constant_structure(sp.Matrix(f), sp.Matrix(G), x, target, **options), target
+
+
+@pytest.fixture(scope="module")
+def found():
+    """What each case gives, computed once."""
+    known = {}
+
+    def of(case):
+        if case not in known:
+            known[case] = structure_of(*case())
+        return known[case]
+
+    return of
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_the_structure_is_proved(found, case):
+    matching, _ = found(case)
+    assert isinstance(matching, Matching)
+    assert matching.holds
+    plant = matching.plant
+    assert not (plant.J.free_symbols | plant.R.free_symbols | plant.G.free_symbols)
+    assert all(entry.is_Rational for entry in (*plant.J, *plant.R))
+    assert definiteness(sp.Matrix(plant.R))[0] in ("positive", "flat")
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_the_energy_has_its_minimum_at_the_target(found, case):
+    matching, target = found(case)
+    slope = np.array(matching.plant.grad_H.subs(target).evalf(30), dtype=float)
+    assert np.abs(slope).max() < 1e-12
+    assert (
+        definiteness(sp.hessian(matching.plant.H, matching.plant.x).subs(target))[0] == "positive"
+    )
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_the_structure_moves_as_the_plant_does(found, case):
+    f, G, x, star = case()
+    matching, _ = found(case)
+    G = sp.Matrix(G)
+    v = sp.symbols(f"v1:{G.cols + 1}", real=True)
+    plant = matching.plant
+    u = matching.u0 + matching.gain * sp.Matrix(v)
+    true = sp.Matrix(f) + G * u
+    seen = (plant.J - plant.R) * plant.grad_H + plant.G * sp.Matrix(v)
+    both = sp.lambdify((*x, *v), [list(true), list(seen)])
+    rng = np.random.default_rng(0)
+    for _ in range(10):
+        point = [float(s) + 0.3 * rng.uniform(-1, 1) for s in star]
+        rates = np.array(both(*point, *rng.uniform(-1, 1, G.cols)), dtype=float)
+        assert np.allclose(*rates, rtol=1e-8, atol=1e-8 * (1 + np.abs(rates).max()))
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_the_shaping_functions_are_linear_and_of_the_ports(found, case):
+    matching, target = found(case)
+    plant = matching.plant
+    assert len(matching.shaping) == plant.m
+    slopes = sp.Matrix([[sp.diff(c, s) for c in matching.shaping] for s in plant.x])
+    assert not slopes.free_symbols
+    rest = ((plant.J - plant.R) * slopes + plant.G).applyfunc(sp.simplify)
+    assert rest.is_zero_matrix
+    assert all(sp.simplify(c.subs(target)) == 0 for c in matching.shaping)
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_the_linearised_structure_is_stable_with_damping_at_its_ports(found, case):
+    matching, target = found(case)
+    plant = matching.plant
+    F = float_matrix(sp.Matrix(plant.J - plant.R - plant.G * plant.G.T))
+    Q = float_matrix(sp.hessian(plant.H, plant.x).subs(target))
+    assert np.linalg.eigvals(F @ Q).real.max() < 0
+
+
+def test_sizes_and_units_of_the_plant_are_kept():
+    f, G, x, star = pendulum_by_torque()
+    domain = {"q": (-sp.pi, sp.pi)}
+    matching, _ = structure_of(
+        f, G, x, star, sizes={x[1]: 0.5}, name="rod", units={"q": "rad"}, domain=domain
+    )
+    plant = matching.plant
+    assert (plant.name, plant.units, plant.domain) == ("rod", {"q": "rad"}, domain)
+
+
+def test_two_states_in_other_units_give_the_same_energy():
+    f, G, x, star = pendulum_by_torque()
+    q, p = x
+    scale = 2**10
+    scaled = [e.subs(p, p * scale) for e in map(sp.sympify, f)]
+    scaled[1] /= scale
+    sizes = {q: 1.0, p: 1.0}
+    one, _ = structure_of(f, G, x, star, sizes=sizes)
+    other, _ = structure_of(scaled, G, x, star, sizes={q: 1.0, p: 1.0 / scale})
+    same = sp.expand(other.plant.H.subs(p, p / scale) / one.plant.H)
+    assert sp.simplify(same).is_number
+
+
+integers = st.integers(-3, 3)
+
+
+@given(st.lists(integers, min_size=9, max_size=9))
+@settings(max_examples=40, deadline=None)
+def test_one_unactuated_direction_is_decided_by_its_mode(entries):
+    """ẋ₃ = a·x is the row without an input: no structure iff a ~ e₃ and a₃ ≥ 0."""
+    x = sp.symbols("x1:4", real=True)
+    f = sp.Matrix(3, 3, entries) * sp.Matrix(x)
+    G = sp.Matrix([[1, 0], [0, 1], [0, 0]])
+    result, _ = structure_of(f, G, x, (0, 0, 0))
+    *coupling, own = entries[6:]
+    if any(coupling) or own < 0:
+        assert isinstance(result, Matching)
+    else:
+        assert result.proved
+
+
+@given(st.lists(integers, min_size=9, max_size=9))
+@settings(max_examples=20, deadline=None)
+def test_linear_plants_are_refused_only_where_a_mode_is_out_of_reach(entries):
+    x = sp.symbols("x1:4", real=True)
+    A, G = sp.Matrix(3, 3, entries), sp.Matrix([0, 0, 1])
+    result, _ = structure_of(A * sp.Matrix(x), G, x, (0, 0, 0))
+    controllable = sp.Matrix.hstack(G, A * G, A * A * G).rank() == 3
+    if controllable:
+        assert isinstance(result, Matching)
+    if isinstance(result, NoStructure) and result.proved:
+        assert not controllable
+
+
+def test_a_mode_that_no_input_reaches_and_that_grows_is_found():
+    A = sp.Matrix([[0, 1, 0], [-2, R(1, 100), 0], [1, 0, -1]])
+    G = sp.Matrix([0, 0, 1])
+    assert uncontrollable_growth(A, G)
+    assert not uncontrollable_growth(A - sp.diag(0, R(1, 50), 0), G)
+    assert uncontrollable_growth(sp.zeros(2, 2), sp.Matrix([0, 1]))
+    assert not uncontrollable_growth(A, sp.Matrix([1, 0, 0]))
+
+
+def test_a_nonlinearity_that_no_constant_structure_fits_is_refused_with_a_proof():
+    """b₁₁ = 0 by symmetry, then b₁₂ + b₂₁ = 0 by dissipation, and S₁₁ = b₁₂ = 0."""
+    x1, x2, x3 = x = sp.symbols("x1:4", real=True)
+    f = [x2 + x1**2, x3 + x1 * x2, 0]
+    result, _ = structure_of(f, [0, 0, 1], x, (0, 0, 0))
+    assert result.proved
+    assert "in these coordinates" in result.reason
+
+
+@pytest.mark.parametrize("case", [flexible_joint, levitation, logarithms])
+def test_no_certificate_is_found_against_what_exists(case):
+    f, G, x, star = case()
+    annihilator = sp.Matrix.hstack(*sp.Matrix(G).T.nullspace()).T
+    target = dict(zip(x, map(sp.sympify, star), strict=True))
+    slopes = (annihilator * sp.Matrix(f)).jacobian(x)
+    assert not no_constant_structure(slopes, annihilator, target)
+
+
+@pytest.mark.parametrize(
+    ("change", "piece", "proved"),
+    [
+        ({"star": (1, 0)}, "equilibrium", True),
+        ({"G": [[0], [1 + sp.Symbol("q", real=True) ** 2]]}, "G depends", False),
+        ({"G": [[1, 0], [0, 1]]}, "input of its own", False),
+    ],
+)
+def test_what_is_not_covered_is_told(change, piece, proved):
+    _, G, x, star = pendulum_by_torque()
+    given = {"f": [sp.sin(x[0]) + x[1], 0], "G": G, "x": x, "star": star} | change
+    result, _ = structure_of(*given.values())
+    assert isinstance(result, NoStructure)
+    assert piece in result.reason
+    assert result.proved == proved
