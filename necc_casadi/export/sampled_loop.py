@@ -45,7 +45,12 @@ def analyse_sampling(
     radius = spectral_radius(design, sample_time, integrator)
     largest = largest_stable_time(design, integrator)
     warning = None
-    if not radius < 1:
+    if not design.decays:
+        warning = (
+            f"whether the sampled loop is stable at {sample_time:g} s is not known: a mode of the "
+            "linearisation does not decay"
+        )
+    elif not radius < 1:
         warning = f"the sampled loop is not stable at {sample_time:g} s"
         warning += "" if largest is None else f": the largest stable sample time is {largest:.3g} s"
     elif largest is not None and sample_time > largest / 2:
