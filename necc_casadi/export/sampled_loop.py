@@ -28,6 +28,10 @@ __all__ = ["ORDERS", "SampledLoop", "analyse_sampling", "largest_stable_time", "
 ORDERS: dict[Integrator, int] = {"euler": 1, "heun": 2, "rk4": 4}
 
 
+#: A spectral radius this close to 1 may be 1.
+_ROUNDING = 1e-12
+
+
 @dataclass(frozen=True)
 class SampledLoop:
     """The sampled loop, linearised at z̄."""
@@ -45,10 +49,10 @@ def analyse_sampling(
     radius = spectral_radius(design, sample_time, integrator)
     largest = largest_stable_time(design, integrator)
     warning = None
-    if not design.decays:
+    if abs(radius - 1) <= _ROUNDING:
         warning = (
-            f"whether the sampled loop is stable at {sample_time:g} s is not known: a mode of the "
-            "linearisation does not decay"
+            f"whether the sampled loop is stable at {sample_time:g} s is not known: its "
+            "linearisation neither decays nor grows"
         )
     elif not radius < 1:
         warning = f"the sampled loop is not stable at {sample_time:g} s"
