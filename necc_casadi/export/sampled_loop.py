@@ -79,9 +79,9 @@ def largest_stable_time(design: Design, integrator: Integrator = "heun") -> floa
     parts, order = _linear_parts(design), ORDERS[integrator]
     rates = np.abs(design.natural.spectrum)
     time, end = 1e-3 / rates.max(), 1e3 / max(rates.min(), 1e-3 * rates.max())
-    if not _radius(parts, time, order) < 1:
+    if not _radius(parts, time, order) < 1 - _ROUNDING:
         return None
-    while _radius(parts, 1.05 * time, order) < 1:
+    while _radius(parts, 1.05 * time, order) < 1 - _ROUNDING:
         time *= 1.05
         if time > end:
             return None

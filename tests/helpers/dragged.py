@@ -4,6 +4,7 @@ import sympy as sp
 
 from helpers.constructed import make_design, mechanical
 from helpers.oscillators import QUADRATIC
+from necc_casadi.model.plant import make_plant
 
 SYMBOLS = q1, q2, q3, p1, p2, p3 = sp.symbols("q1:4 p1:4", real=True)
 
@@ -66,3 +67,12 @@ def chain(R):
 def dragged(R):
     """A design that holds the chain at 0, V = H + ½ξ² + ½(q₂ − ξ)²."""
     return make_design(chain(R), [0] * 6, QUADRATIC, [0, 0, 1.0, 0, 0, 0, 1.0, 0], [0.0])
+
+
+def creeping():
+    """ȧ = −a³ beside a driven oscillator, V = ½a² + …: a falls as 1/√t."""
+    a, q, p = sp.symbols("a q p", real=True)
+    J = sp.Matrix([[0, 0, 0], [0, 0, 1], [0, -1, 0]])
+    H = (a**2 + q**2 + p**2) / 2
+    plant = make_plant((a, q, p), J, sp.diag(a**2, 0, 0), sp.Matrix([0, 0, 1]), H)
+    return make_design(plant, (0, 0, 0), QUADRATIC, [0, 0, 1.0, 0, 0, 0, 1.0, 0], [0.0])

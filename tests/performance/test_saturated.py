@@ -4,14 +4,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import sympy as sp
-from helpers.constructed import make_design
-from helpers.oscillators import QUADRATIC
+from helpers.dragged import creeping
 from helpers.problems import PENDULUM, problem, solve
 
 from necc_casadi.model.cost import bryson
 from necc_casadi.model.model_file import load_model
-from necc_casadi.model.plant import make_plant
 from necc_casadi.performance.closed_loop_cost import design_feedback, responses
 from necc_casadi.performance.plant_model import plant_model
 from necc_casadi.performance.saturated import even_starts, lqr_costs, saturated
@@ -148,13 +145,8 @@ def test_lqr_is_followed_from_the_same_starts(default_design):
 
 
 def test_nothing_is_at_rest_elsewhere_where_a_loop_creeps():
-    """ȧ = −a³: pace falls faster than distance, and z̄ is the only place of rest."""
-    a, q, p = sp.symbols("a q p", real=True)
-    J = sp.Matrix([[0, 0, 0], [0, 0, 1], [0, -1, 0]])
-    H = (a**2 + q**2 + p**2) / 2
-    plant = make_plant((a, q, p), J, sp.diag(a**2, 0, 0), sp.Matrix([0, 0, 1]), H)
-    made = make_design(plant, (0, 0, 0), QUADRATIC, [0, 0, 1.0, 0, 0, 0, 1.0, 0], [0.0])
-    assert made.creeps
+    """ȧ = −a³: the pace falls faster than the distance, and z̄ is the only place of rest."""
+    made = creeping()
     found = saturated(made, cost_of(made))
     assert not found.arrived.any()
     assert not found.strayed

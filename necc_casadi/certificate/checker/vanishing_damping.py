@@ -112,8 +112,15 @@ class _Outputs:
 
 
 def _adds_up(split: Gains, R: sp.Matrix) -> bool:
-    """Whether the gains and what is left are R, with constant directions."""
-    if any(gain.direction.free_symbols for gain in split.terms):
+    """Whether the gains and what is left are R, with constant directions, in blocks of their own.
+
+    Rw = 0 then splits into rest·w = 0 and Σ φₖ(rₖᵀw)² = 0.
+    """
+    directions = [gain.direction for gain in split.terms]
+    if any(r.free_symbols for r in directions):
+        return False
+    used = {i for r in directions for i, e in enumerate(r) if e != 0}
+    if any(e != 0 for i in used for e in split.rest.row(i)):
         return False
     left = R - split.rest
     for phi, r in split.terms:
