@@ -70,21 +70,27 @@ class _Choices:
         self.tests = 0
 
     def sort(self, split: Gains) -> bool:
-        """Sort the gains into outputs and choices; False where one may be negative."""
+        """Sort the gains into outputs and choices; False where one is not known well enough."""
         self.always = sp.Matrix(at(split.rest, self.z_star)) * self.P
         for phi, r in split.terms:
             seen = r.T * self.P
             if sign(value_at(phi, self.z_star)) == 1:
                 self.always = self.always.col_join(seen)
-            elif is_never_negative(phi):
-                self.open.append([seen, *self._rows(phi)])
             else:
-                return False
+                vanishing = self._rows(phi) if is_never_negative(phi) else None
+                if vanishing is None:
+                    return False
+                self.open.append([seen, *vanishing])
         return True
 
-    def _rows(self, phi: sp.Expr) -> list[sp.Matrix]:
-        """The rows that vanish with each factor of a gain that may vanish at z*."""
+    def _rows(self, phi: sp.Expr) -> list[sp.Matrix] | None:
+        """The rows that vanish with each factor of a gain that may vanish at z*.
+
+        None where a factor is not proved to be analytic there.
+        """
         left = [f for f in factors(phi) if sign(value_at(f.psi, self.z_star)) not in (1, -1)]
+        if not is_analytic_at([factor.psi for factor in left], self.z_star):
+            return None
         found = []
         for factor in left:
             rows = sp.Matrix(at(gradient(factor.psi, self.z), self.z_star)).T

@@ -16,7 +16,8 @@ from flint import arb, arb_mat, ctx
 
 from necc_casadi.certificate.checker.arithmetic.balls import Box, ball, evaluate
 from necc_casadi.certificate.checker.arithmetic.potential import Energy, hessian_hull
-from necc_casadi.symbolic.gains import Factor, Gains, factors, gains, has_one_sign
+from necc_casadi.certificate.checker.arithmetic.smooth import is_smooth_on
+from necc_casadi.symbolic.gains import Factor, Gains, factors, gains
 from necc_casadi.symbolic.semidefinite import is_positive_semidefinite
 from necc_casadi.symbolic.zero import is_zero
 
@@ -44,7 +45,7 @@ class _Outputs:
 
     def __init__(self, energy: Energy, box: Box) -> None:
         model = energy.model
-        self.model, self.z = model, model.z
+        self.model, self.z, self.box = model, model.z, box
         self.values = {s: ball(*side) for s, side in zip(model.z, box, strict=True)}
         self.P = hessian_hull(energy, box)
         self.A = self._enclosed(model.Jcl) * self.P
@@ -81,13 +82,15 @@ class _Outputs:
         found = factors(phi)
         product = sp.Mul(*[factor.psi**factor.power for factor in found])
         if is_positive_semidefinite(sp.Matrix([[phi]])) is not True:
-            return None
+            return None  # φ ≥ 0 for all states
         if is_zero(product - phi) is not True:
             return None
         values = [evaluate(factor.psi, self.values) for factor in found]
         if not all(value.is_finite() for value in values):
             return None
         left = [f for f, value in zip(found, values, strict=True) if value.contains(0)]
+        if not is_smooth_on([factor.psi for factor in left], self.z, self.box):
+            return None
         rows = [self._with(factor, left) for factor in left]
         finite = all(value.is_finite() for table in rows for row in table for value in row)
         return rows if finite else None
@@ -95,7 +98,7 @@ class _Outputs:
     def _with(self, factor: Factor, left: Sequence[Factor]) -> list[Row]:
         slopes = [sp.diff(factor.psi, s) for s in self.z]
         rows = [slopes]
-        if has_one_sign(factor, [other for other in left if other is not factor]):
+        if _has_one_sign(factor, alone=len(left) == 1):
             rows += [[sp.diff(slope, s) for s in self.z] for slope in slopes]
         table: list[Row] = self._enclosed(sp.Matrix(rows)).tolist()
         return table
@@ -126,6 +129,17 @@ def _adds_up(split: Gains, R: sp.Matrix) -> bool:
     for phi, r in split.terms:
         left -= phi * r * r.T
     return all(is_zero(e) is True for e in left)
+
+
+def _has_one_sign(factor: Factor, alone: bool) -> bool:
+    """Whether ψ is ≥ 0 or ≤ 0 near z̄: everywhere, or as the one factor of φ ≥ 0 that is 0 there.
+
+    φ/(what is not 0) = ψᵏ has one sign near z̄, and with an odd k so has ψ.
+    """
+    if alone and factor.power % 2:
+        return True
+    both = (factor.psi, -factor.psi)
+    return any(is_positive_semidefinite(sp.Matrix([[psi]])) is True for psi in both)
 
 
 def _rank(A: arb_mat, outputs: Sequence[Row]) -> int:

@@ -26,6 +26,7 @@ from necc_casadi.certificate.prover.arithmetic.intervals import (
     stack,
 )
 from necc_casadi.certificate.prover.arithmetic.potential import Potential
+from necc_casadi.certificate.prover.arithmetic.smooth import is_smooth_on
 from necc_casadi.designs.design import Design
 from necc_casadi.symbolic.derivatives import gradient, sparse_hessian
 from necc_casadi.symbolic.gains import factors, gains, has_one_sign, is_never_negative
@@ -78,10 +79,11 @@ class _Choices:
             seen = self._through(r.T)
             if self._value(phi).lo > 0:
                 always = concatenate(always, seen)
-            elif is_never_negative(phi):
-                choices.append([seen, *self._rows(phi)])
             else:
-                return False
+                vanishing = self._rows(phi) if is_never_negative(phi) else None
+                if vanishing is None:
+                    return False
+                choices.append([seen, *vanishing])
         return self._from(always, choices)
 
     def _value(self, expr: sp.Expr) -> Interval:
@@ -91,9 +93,14 @@ class _Choices:
         value = self._value(psi)
         return not (value.lo > 0 or value.hi < 0)
 
-    def _rows(self, phi: sp.Expr) -> list[Interval]:
-        """The rows that vanish with each factor of a gain that may vanish at z̄."""
+    def _rows(self, phi: sp.Expr) -> list[Interval] | None:
+        """The rows that vanish with each factor of a gain that may vanish at z̄.
+
+        None where a factor is not proved to be analytic there.
+        """
         left = [factor for factor in factors(phi) if self._may_vanish(factor.psi)]
+        if not is_smooth_on([factor.psi for factor in left], self.z, self.box):
+            return None
         found = []
         for factor in left:
             rows = self._enclosed(gradient(factor.psi, self.z).T)
