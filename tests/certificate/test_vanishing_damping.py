@@ -7,6 +7,7 @@ import json
 import pytest
 import sympy as sp
 from helpers.certificates import claim, verdicts, written
+from helpers.commands import design as command
 from helpers.constructed import make_design, mechanical
 from helpers.dragged import ATTRACT, SWING, UNDECIDED, chain, dragged, on_momenta, p1, p3, q1
 from helpers.oscillators import QUADRATIC
@@ -178,3 +179,33 @@ def test_other_units_change_nothing(tmp_path):
     made.save(tmp_path / "design.json")
     (tmp_path / "certificate.json").write_text(certificate.to_json(), encoding="utf-8")
     assert all(verdicts(tmp_path).values())
+
+
+MODEL = """
+import sympy as sp
+q1, q2, q3, p1, p2, p3 = x = sp.symbols("q1:4 p1:4", real=True)
+J = sp.zeros(6, 6)
+J[:3, 3:], J[3:, :3] = sp.eye(3), -sp.eye(3)
+R = sp.diag(0, 0, 0, p1**2, 0, p3**2)
+G = sp.Matrix([0, 0, 0, 0, 1, 0])
+H = (p1**2 + p2**2 + p3**2 + q1**2 + (q2 - q1) ** 2 + (q3 - q2) ** 2 + q3**2) / 2
+"""
+
+
+@pytest.mark.slow
+def test_a_design_from_model_to_certificate(tmp_path):
+    (tmp_path / "chain.py").write_text(MODEL, encoding="utf-8")
+    out = tmp_path / "made"
+    options = ("--target=q1=1/2,q2=1,q3=1/2", f"--out={out}", "--no-plots", "--compare")
+    code, text, _ = command(tmp_path / "chain.py", *options, "--sample-time=0.01")
+    assert code == 0
+    assert "certified, asymptotically stable (at no proved rate)" in text.splitlines()[0]
+    assert "spectral abscissa 0 1/s" in text
+    assert "simulated  not known" in text
+    assert "phase margin" not in text
+    assert "stable at 0.01 s is not known" in " ".join(text.split())
+    assert run(_certify, [str(out)]) == 0
+    code, text, _ = command(tmp_path / "chain.py", *options, "--settle=20", "--json")
+    data = json.loads(text)
+    assert code == 4
+    assert data["asked"]["rate_reached"] == data["design"]["spectral_abscissa"] == 0

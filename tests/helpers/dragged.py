@@ -43,6 +43,7 @@ SWING = {
     "of their sum, on both": on_momenta((p1 + p3) ** 2, (p1 + p3) ** 2),
     "of their sum, on one": on_momenta((p1 + p3) ** 2),
     "of their sum, relative": between((p1 + p3) ** 2),
+    "of an outer one, on the middle": sp.diag(0, 0, 0, 0, p1**2, 0),
     "of the middle": on_momenta(p2**2, sp.sin(q2) ** 2 * p3**2),
 }
 #: Neither is proved: {p² + q³ = 0} holds more than {p = 0}, and no proof says that 1 − cos p ≥ 0.
