@@ -279,8 +279,11 @@ def _saves_nothing(trial: Trial, whole: Judged) -> str | None:
 
 
 def _is_open(verdict: Verdict, options: Options) -> bool:
-    """Whether the options leave it to the tool how V is made, and responses can be judged."""
-    return not _asks(options) and verdict.stability == "asymptotic"
+    """Whether the options leave it to the tool how V is made, and responses can be judged.
+
+    What decays more slowly than exponentially costs more than a linearisation can tell.
+    """
+    return not _asks(options) and verdict.exponential
 
 
 def _asks(options: Options) -> bool:

@@ -29,11 +29,16 @@ from necc_casadi.lyapunov.opened_loop import opened_at_the_input
 from necc_casadi.model.domain import Domain, domain_of
 from necc_casadi.model.sizes import input_names
 from necc_casadi.symbolic.floats import to_floats
+from necc_casadi.verdict.verdict import STABLE
 
 if TYPE_CHECKING:
     from necc_casadi.certificate.claims.certificate import Certificate
 
 __all__ = ["Design", "refuse_other"]
+
+
+#: A rate below this share of the fastest is rounding.
+_ROUNDING = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,6 +178,25 @@ class Design(Parts):
         natural = self.natural
         values = np.linalg.eigvals(natural.lyapunov.linearisation(natural.z_bar))
         return np.asarray(values / self.units.time, complex)
+
+    @property
+    def abscissa(self) -> float:
+        """Largest real part of the spectrum, 1/s; 0 where rounding may be all that it is."""
+        largest, fastest = self.spectrum.real.max(), np.abs(self.spectrum).max()
+        return 0.0 if abs(largest) <= _ROUNDING * fastest else float(largest)
+
+    @property
+    def decays(self) -> bool:
+        """Whether every mode of the linearisation at z̄ decays."""
+        return self.abscissa < 0
+
+    @property
+    def creeps(self) -> bool:
+        """Whether motions may go to z̄ more slowly than a simulation can tell.
+
+        Not every mode of the linearisation decays, and still z̄ may attract.
+        """
+        return not self.decays and self.verdict.stability != STABLE
 
     def linearise(self) -> tuple[Vector, Vector, Vector, Vector]:
         """State-space matrices (A, B, C, D) of the damped loop at z̄, ready for python-control.

@@ -28,6 +28,10 @@ __all__ = ["ORDERS", "SampledLoop", "analyse_sampling", "largest_stable_time", "
 ORDERS: dict[Integrator, int] = {"euler": 1, "heun": 2, "rk4": 4}
 
 
+#: A spectral radius this close to 1 may be 1.
+_ROUNDING = 1e-12
+
+
 @dataclass(frozen=True)
 class SampledLoop:
     """The sampled loop, linearised at z̄."""
@@ -45,7 +49,12 @@ def analyse_sampling(
     radius = spectral_radius(design, sample_time, integrator)
     largest = largest_stable_time(design, integrator)
     warning = None
-    if not radius < 1:
+    if abs(radius - 1) <= _ROUNDING:
+        warning = (
+            f"whether the sampled loop is stable at {sample_time:g} s is not known: its "
+            "linearisation neither decays nor grows"
+        )
+    elif not radius < 1:
         warning = f"the sampled loop is not stable at {sample_time:g} s"
         warning += "" if largest is None else f": the largest stable sample time is {largest:.3g} s"
     elif largest is not None and sample_time > largest / 2:
@@ -70,9 +79,9 @@ def largest_stable_time(design: Design, integrator: Integrator = "heun") -> floa
     parts, order = _linear_parts(design), ORDERS[integrator]
     rates = np.abs(design.natural.spectrum)
     time, end = 1e-3 / rates.max(), 1e3 / max(rates.min(), 1e-3 * rates.max())
-    if not _radius(parts, time, order) < 1:
+    if not _radius(parts, time, order) < 1 - _ROUNDING:
         return None
-    while _radius(parts, 1.05 * time, order) < 1:
+    while _radius(parts, 1.05 * time, order) < 1 - _ROUNDING:
         time *= 1.05
         if time > end:
             return None

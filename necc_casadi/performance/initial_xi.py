@@ -37,7 +37,7 @@ def with_better_start(design: Design, cost: QuadraticCost) -> Design:
     than the starts can tell; and where V(x(0), ·) has no minimum that Newton's method finds, and
     in loops of many states. Inputs stay within the limits of the model.
     """
-    if len(design.z_star) > _MANY_STATES or not design.spectrum.real.max() < 0:
+    if len(design.z_star) > _MANY_STATES or not design.decays:
         return design
     plant = plant_model(design, cost)
     starts = [

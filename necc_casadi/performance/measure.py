@@ -75,7 +75,7 @@ class Loop:
 
 @dataclass(frozen=True, eq=False)
 class Errors:
-    """|x − x*| at rest, (n,) each, in the units of the model; None: it does not stay at rest."""
+    """|x − x*| at rest, (n,) each, in the units of the model; None: not known to stay."""
 
     disturbance: Vector | None  # largest over the inputs and both signs
     parameters: Mapping[str, Vector | None]  # by name, each 10 % larger
@@ -220,7 +220,7 @@ def _errors(design: Design, others: Mapping[str, Equilibria]) -> Errors:
 def _loop(design: Design) -> Loop | None:
     """Of a design that is stable at z̄."""
     A, B, C, _ = design.loop_transfer()
-    return _opened("this design", A, B, C) if design.spectrum.real.max() < 0 else None
+    return _opened("this design", A, B, C) if design.decays else None
 
 
 def _lqr_loop(design: Design, plant: PlantModel) -> Loop | None:

@@ -38,7 +38,8 @@ _ARRIVED = 0.01
 
 
 #: One that keeps moving by less than this many sizes in a default horizon, for this share of one,
-#: is at rest: a saddle is left sooner.
+#: is at rest: a saddle is left sooner. Where z̄ is reached more slowly than exponentially, that
+#: tells nothing.
 _AT_REST, _LONG = 0.05, 0.5
 
 
@@ -165,6 +166,7 @@ class _Follower:
         limits = design.loop.plant.u_limits
         bounds = [(-np.inf, np.inf)] * plant.m if limits is None else limits
         self.lo, self.hi = np.array(bounds, float).T / design.units.input
+        self.creeps = design.creeps
         self._law = feedback.law
         self._field = self._extended()
 
@@ -230,7 +232,8 @@ class _Follower:
             arrived[alive] = distance <= near[alive]
             pace = np.abs(slope[alive][:, : len(self.size)] / self.size).max(1) * self.horizon
             quiet[alive] = np.where(pace < _AT_REST, quiet[alive], t[alive])
-            resting[alive] = ~arrived[alive] & (t[alive] - quiet[alive] > _LONG * self.horizon)
+            still = t[alive] - quiet[alive] > _LONG * self.horizon
+            resting[alive] = ~arrived[alive] & still & (not self.creeps)
             short = (h[alive] < _LEAST_STEP * horizon) & ~good
             lost[alive] = ~(distance < _LOST * self.reach) | short
             going = (t[alive] < horizon * (1 - 1e-9)) & ~(arrived | lost | resting)[alive]

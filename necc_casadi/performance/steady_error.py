@@ -25,7 +25,8 @@ _SMALL = 1e-10
 def disturbed_error(design: Design, share: float = 0.1) -> Vector | None:
     """|x − x*| in sizes, (n,), at rest under a matched disturbance of this share of each u's size.
 
-    The largest over the inputs and both signs; None where a loop does not stay at rest nearby.
+    The largest over the inputs and both signs; None where no rest is found nearby at which every
+    mode decays.
     """
     natural = design.natural
     worst = np.zeros(natural.loop.plant.n)
@@ -43,7 +44,8 @@ def disturbed_error(design: Design, share: float = 0.1) -> Vector | None:
 def perturbed_error(design: Design, other: Equilibria) -> Vector | None:
     """|x − x*| in sizes, (n,), at rest with the controller of `design` on another plant.
 
-    None where that loop does not stay at rest nearby. `other` is in the units of the model.
+    None where no rest is found nearby at which every mode decays. `other` is in the units of the
+    model.
     """
     motion = rescaled_motion(other, design.units)
     dynamics = (

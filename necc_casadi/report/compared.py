@@ -59,7 +59,7 @@ def error_lines(found: Performance, plant: System) -> list[str]:
 
 def _error(error: Vector | None, plant: System) -> str:
     if error is None:
-        return "the loop does not stay at rest nearby"
+        return "no rest is found nearby at which every mode decays"
     away = [
         f"{name} {value:.2g} {plant.units.get(name, '')}".rstrip()
         for name, value in zip(plant.states, error, strict=True)

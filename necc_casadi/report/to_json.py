@@ -84,7 +84,7 @@ def _design(design: Design, measures: Measures, certificate: Certificate | None)
         "distance": measures.distance,
         "bound_paper": measures.bound_paper,
         "bound_rigorous": None if certificate is None else certificate.bound_rigorous,
-        "spectral_abscissa": spectrum[0].real,
+        "spectral_abscissa": design.abscissa,
         "spectrum": [[value.real, value.imag] for value in spectrum],
         "stability": None if certificate is None else certificate.stability,
         "casimir_residual": None

@@ -121,7 +121,7 @@ def _outcome(found: Findings) -> str:
     """The outcome; what is wrong comes first."""
     certificate = found.certificate
     if found.status == "certified" and certificate is not None:
-        kind = "asymptotically stable" if certificate.stability == "asymptotic" else "only stable"
+        kind = _kind(certificate)
         if not found.warnings:
             return f"certified, {kind}"
         whole = found.choice is not None and found.choice.kept.whole
@@ -182,6 +182,14 @@ def _casimirs(casimirs: Casimirs) -> str:
     )
 
 
+def _kind(certificate: Certificate) -> str:
+    """The stability that is proved."""
+    if certificate.stability != "asymptotic":
+        return "only stable"
+    rate = " (at no proved rate)" if certificate.attracts_at_no_rate else ""
+    return f"asymptotically stable{rate}"
+
+
 def _verdict_text(verdict: Verdict) -> str:
     ceiling = "no ceiling on a" if verdict.a_max is None else f"a_max = {verdict.a_max:.4g}"
     if verdict.assignable:
@@ -220,9 +228,8 @@ def _design_rows(
         ("minimum", f"z̄ = ({z_bar}); ‖z̄ − z*‖ = {measures.distance:.2g}; {bounds}"),
         (
             "loop",
-            f"{_damping(design)}; spectral abscissa "
-            f"{measures.spectrum[0].real:.4g} 1/s; least eigenvalue of ∇²V(z̄) "
-            f"{measures.curvatures[0]:.4g}",
+            f"{_damping(design)}; spectral abscissa {design.abscissa:.4g} 1/s; least eigenvalue of "
+            f"∇²V(z̄) {measures.curvatures[0]:.4g}",
         ),
     ]
 
@@ -267,6 +274,9 @@ def _matrix(D: np.ndarray) -> str:
 def _responses(found: Findings) -> str:
     settled = [r for r in found.responses if r.converged]
     text = f"{len(settled)} of {len(found.responses)} random starts settle within 2 %"
+    certificate = found.certificate
+    if certificate is not None and certificate.attracts_at_no_rate:
+        text += f" in {found.responses[0].t[-1]:.3g} s"
     if settled:
         slowest = max(r.settling_time for r in settled)
         text += f", the slowest in {slowest:.3g} s"

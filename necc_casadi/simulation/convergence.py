@@ -46,12 +46,13 @@ class Arrivals:
     """Which of many starts reach z̄."""
 
     arrived: npt.NDArray[np.bool_]  # (B,) came to within 1 % of the first distance
-    unfinished: npt.NDArray[np.bool_]  # (B,) ran out of steps: not known
+    unfinished: npt.NDArray[np.bool_]  # (B,) ran out of steps, or creep: not known
 
 
 def converging(design: Design, starts: npt.ArrayLike, *, tolerance: float = 1e-4) -> Arrivals:
     """Whether the loop comes near z̄ within some default horizons, from states (B, n + nc).
 
+    Where z̄ may attract though a mode of the linearisation does not decay, no horizon tells.
     Inputs stay within the limits of the model.
     All states at once, each with its own step; distances and errors in natural units.
     """
@@ -64,6 +65,7 @@ def converging(design: Design, starts: npt.ArrayLike, *, tolerance: float = 1e-4
     alive = np.flatnonzero(~arrived)
     t, h = np.zeros(len(z)), np.full(len(z), horizon / 1000)
     ode = saturated_field(design)
+    late = np.zeros(len(z), dtype=bool)
 
     def field(states: Vector) -> Vector:
         return np.asarray(ode(states.T), float).T
@@ -86,9 +88,10 @@ def converging(design: Design, starts: npt.ArrayLike, *, tolerance: float = 1e-4
             distance = np.linalg.norm((z[alive] - z_bar) / size, axis=1)
         arrived[alive] = distance <= near[alive]
         short = (h[alive] < _LEAST_STEP * horizon) & ~good
-        going = (distance < lost) & (t[alive] < horizon * (1 - 1e-9)) & ~short
-        alive = alive[going & ~arrived[alive]]
-    unfinished = np.zeros(len(z), dtype=bool)
+        in_time, stays = t[alive] < horizon * (1 - 1e-9), (distance < lost) & ~short
+        late[alive] = stays & ~in_time & ~arrived[alive]
+        alive = alive[in_time & stays & ~arrived[alive]]
+    unfinished = late if design.creeps else np.zeros(len(z), dtype=bool)
     unfinished[alive] = True
     return Arrivals(arrived, unfinished)
 

@@ -7,6 +7,7 @@ What a file may know grows from line to line::
     zero                             is it zero, which sign
     finite_field modular arb         values over GF(p), matrices of them; values in balls
     linear_algebra semidefinite      rank, kernel; ⪰ 0 for all states
+    gains                            dissipation as a sum of gains, and their factors
     definiteness observability       of constant matrices: which kind, by which direction
 
 `semidefinite` stays apart from `definiteness`, because the certificate's checker trusts the first

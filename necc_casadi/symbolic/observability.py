@@ -1,10 +1,13 @@
-"""Observability of the pair (JP, BᵀP) of exact constant matrices J, B, P.
+"""Observability of the pair (JP, [BᵀP; C]) of exact constant matrices J, B, P, C.
 
 Over GF(p) the unobservable motions are found; for real matrices with irrational entries Arb balls
 confirm that there are none.
 """
 
 from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import islice
 
 import flint
 import numpy as np
@@ -19,45 +22,60 @@ __all__ = ["is_observable", "observability_matrix"]
 _BITS = 1000
 
 
-def observability_matrix(J: sp.Matrix, B: sp.Matrix, P: sp.Matrix, prime: int) -> Residues:
-    """Independent rows over GF(prime) that span those of BᵀP(JP)ᵏ, k = 0, 1, …; rank × n.
+def observability_matrix(
+    J: sp.Matrix, B: sp.Matrix, P: sp.Matrix, prime: int, C: sp.Matrix | None = None
+) -> Residues:
+    """Independent rows over GF(prime) that span those of [BᵀP; C](JP)ᵏ, k = 0, 1, …; rank × n.
+
+    Without `C` there are no further outputs.
 
     Raises
     ------
     NoFiniteFieldValue
         Where an irrational entry does not exist modulo `prime`.
     """
-    interconnection, ports, hessian = (_residues(matrix, prime) for matrix in (J, B, P))
+    matrices = (J, B, P, sp.zeros(0, J.cols) if C is None else C)
+    interconnection, ports, hessian, further = _residues(matrices, prime)
     A, output = interconnection * hessian, ports.transpose() * hessian
-    span, size = _reduced(output, prime)
+    span, size = _reduced(_joined(output, further, prime), prime)
     while True:
-        joined = span.tolist() + (span * A).tolist()
-        entries = [int(v) for row in joined for v in row]
-        larger, rank = _reduced(flint.nmod_mat(len(joined), A.ncols(), entries, prime), prime)
+        larger, rank = _reduced(_joined(span, span * A, prime), prime)
         if rank == size:
             table = [[int(v) for v in row] for row in larger.tolist()]
             return np.array(table, dtype=np.int64).reshape(size, A.ncols())
         span, size = larger, rank
 
 
-def _residues(matrix: sp.Matrix, prime: int) -> flint.nmod_mat:
-    table = values(list(matrix), 1, prime=prime)[0]
-    return flint.nmod_mat(matrix.rows, matrix.cols, [int(v) for v in table], prime)
+def _residues(matrices: Sequence[sp.Matrix], prime: int) -> list[flint.nmod_mat]:
+    """Matrices of residues; what occurs in several of them has one value."""
+    entries = [e for matrix in matrices for e in matrix]
+    table = iter([int(v) for v in values(entries, 1, prime=prime)[0]])
+    return [
+        flint.nmod_mat(m.rows, m.cols, list(islice(table, m.rows * m.cols)), prime)
+        for m in matrices
+    ]
 
 
-def is_observable(J: sp.Matrix, B: sp.Matrix, P: sp.Matrix) -> bool:
+def _joined(upper: flint.nmod_mat, lower: flint.nmod_mat, prime: int) -> flint.nmod_mat:
+    rows = upper.tolist() + lower.tolist()
+    entries = [int(v) for row in rows for v in row]
+    return flint.nmod_mat(len(rows), upper.ncols(), entries, prime)
+
+
+def is_observable(J: sp.Matrix, B: sp.Matrix, P: sp.Matrix, C: sp.Matrix | None = None) -> bool:
     """Whether the real pair is proved to be observable, where it is over GF(p).
 
     For rational entries full rank over GF(p) is a proof. For others GF(p) may miss a relation
     between constants, so that Arb balls have to find n certain pivots.
     """
-    if all(e.is_Rational for matrix in (J, B, P) for e in matrix.todok().values()):
+    matrices = (J, B, P, sp.zeros(0, J.cols) if C is None else C)
+    if all(e.is_Rational for matrix in matrices for e in matrix.todok().values()):
         return True
     previous, flint.ctx.prec = flint.ctx.prec, _BITS
     try:
-        interconnection, ports, hessian = (_as_balls(matrix) for matrix in (J, B, P))
-        rank = _certain_rank(interconnection * hessian, ports.transpose() * hessian)
-        return rank == J.rows
+        interconnection, ports, hessian, further = (_as_balls(matrix) for matrix in matrices)
+        outputs = (ports.transpose() * hessian).tolist() + further.tolist()
+        return _certain_rank(interconnection * hessian, outputs) == J.rows
     finally:
         flint.ctx.prec = previous
 
@@ -67,10 +85,10 @@ def _as_balls(matrix: sp.Matrix) -> flint.arb_mat:
     return flint.arb_mat(matrix.rows, matrix.cols, [ball(e, known) for e in matrix])
 
 
-def _certain_rank(A: flint.arb_mat, output: flint.arb_mat) -> int:
-    """Number of rows output·Aᵏ that are certainly independent, by elimination with balls."""
+def _certain_rank(A: flint.arb_mat, outputs: list[list[flint.arb]]) -> int:
+    """Number of rows outputs·Aᵏ that are certainly independent, by elimination with balls."""
     basis: list[tuple[int, list[flint.arb]]] = []
-    block = output.tolist()
+    block = outputs
     while block:
         fresh = []
         for candidate in block:

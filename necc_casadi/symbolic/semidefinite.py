@@ -104,7 +104,9 @@ def _minors_psd(matrix: sp.Matrix, limit: int = 5) -> bool | None:
         return None
     for mask in range(1, 2**matrix.rows):
         chosen = [i for i in range(matrix.rows) if mask >> i & 1]
-        kind = _sign_everywhere(sp.expand(matrix.extract(chosen, chosen).det()))
+        minor = matrix.extract(chosen, chosen).det()
+        # an entry as it was written may be a square that expanding hides
+        kind = _sign_everywhere(minor if len(chosen) == 1 else sp.expand(minor))
         if kind == "-":
             return False
         if kind == "?":

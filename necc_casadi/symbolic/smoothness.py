@@ -7,14 +7,14 @@ hold over a connected set, the expression is one real-analytic function there.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import sympy as sp
 
-from necc_casadi.symbolic.zero import is_zero
+from necc_casadi.symbolic.zero import is_zero, sign
 
-__all__ = ["Condition", "conditions", "periodic", "without_hidden_zeros"]
+__all__ = ["Condition", "conditions", "is_analytic_at", "periodic", "without_hidden_zeros"]
 
 
 @dataclass(frozen=True)
@@ -74,6 +74,15 @@ def _of_power(base: sp.Expr, exponent: sp.Expr) -> list[Condition]:
     if exponent.is_Integer:
         return [] if exponent >= 0 else [Condition(base, False)]
     return [Condition(base, True)]
+
+
+def is_analytic_at(expressions: Iterable[sp.Expr], point: Mapping[sp.Symbol, sp.Expr]) -> bool:
+    """Whether all parts of the expressions are proved to be analytic near an exact point."""
+    demands = conditions(expressions)
+    if demands is None:
+        return False
+    signs = ((demand, sign(demand.part.subs(point))) for demand in demands)
+    return all(kind == 1 or (kind == -1 and not demand.positive) for demand, kind in signs)
 
 
 def without_hidden_zeros(expr: sp.Expr) -> sp.Expr:

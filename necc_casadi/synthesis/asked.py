@@ -133,7 +133,7 @@ class _Search:
         return _Try(
             design=design,
             reached=reached,
-            rate=float(-design.spectrum.real.max()),
+            rate=0.0 - design.abscissa,
             peaks=peaks,
             overuse=0.0 if limits is None or peaks is None else _overuse(design, peaks, limits),
         )

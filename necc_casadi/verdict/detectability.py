@@ -5,6 +5,7 @@ observable, J = Jcl(z*): JP has its spectrum on the imaginary axis, so every mod
 touched by dissipation or by damping injection. One admissible P for which this holds proves that
 asymptotic stability is within reach. "Only stable" needs a witness that no V can remove: a
 Casimir with 𝒢ᵀ∇C ≡ 0, or a flat family of motions on which damping and dissipation vanish.
+Dissipation that vanishes at z* may still reach what the linearisation leaves undamped.
 """
 
 from __future__ import annotations
@@ -25,12 +26,20 @@ from necc_casadi.symbolic.linear_algebra import generic_rank, has_rank, kernel
 from necc_casadi.symbolic.modular import null_basis, rational_rows
 from necc_casadi.symbolic.observability import is_observable, observability_matrix
 from necc_casadi.symbolic.zero import is_zero
+from necc_casadi.verdict.vanishing_damping import vanishing_damping_attracts
 from necc_casadi.verdict.verdict import ASYMPTOTIC, STABLE, Stability
 
 __all__ = ["Assignment", "Reach", "reachable_stability"]
 
 
 _SMALL = 14  # states beyond which a state-dependent kernel is not computed
+
+
+#: What is said of convergence that the linearisation does not show.
+_NO_RATE = (
+    "convergence may be slower than exponential: the linearisation has a mode that is not damped, "
+    "which only dissipation that vanishes at the target reaches"
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,7 +70,7 @@ class Assignment:
 
 
 class Reach(NamedTuple):
-    """The best stability within reach; where it is not asymptotic, what stands in the way."""
+    """The best stability within reach; where it is not exponential, what stands in the way."""
 
     stability: Stability | None = None
     witness: str | None = None
@@ -93,6 +102,8 @@ def reachable_stability(target: Assignment) -> Reach:
             if _stays_undamped(target, plane):
                 return Reach(STABLE, _motions(target, plane))
         break
+    if vanishing_damping_attracts(target.loop, target.functions, target.z_star, linear.hessian(0)):
+        return Reach(ASYMPTOTIC, _NO_RATE)
     return Reach(
         None,
         "the linearisation has a mode that neither dissipation nor damping injection touches; "

@@ -21,7 +21,7 @@ from necc_casadi.symbolic.linear_algebra import generic_rank, kernel
 from necc_casadi.symbolic.zero import is_zero
 from necc_casadi.verdict.conditions import LocalConditions, TargetDerivatives
 from necc_casadi.verdict.detectability import Reach
-from necc_casadi.verdict.verdict import STABLE, Reason, assignable
+from necc_casadi.verdict.verdict import ASYMPTOTIC, STABLE, Reason, assignable
 
 __all__ = ["direction_name", "explain"]
 
@@ -82,6 +82,8 @@ def _accepted(casimirs: Casimirs, local: LocalConditions, reach: Reach) -> str:
     text += "."
     if reach.stability == STABLE:
         text += f" Only stable, not asymptotically: {reach.witness}."
+    elif reach.stability == ASYMPTOTIC and reach.witness:
+        text += f" Asymptotically stable; {reach.witness}."
     elif reach.stability is None and reach.witness:
         text += f" Asymptotic stability is not decided: {reach.witness}."
     return text

@@ -80,7 +80,12 @@ class Verdict:
     curvature: sp.ImmutableMatrix | None  # k × k, Wᵀ∇²(H + Σλc)W with W = `invisible`
     a_max: float | None  # sup of λ_min at Φ₁(z*) = 1, W orthonormal; None: no ceiling
     stability: Stability | None  # None: refused, or not decided
-    witness: str | None  # for "stable": what does not decay
+    witness: str | None  # "stable": what does not decay; "asymptotic": why no rate is promised
+
+    @property
+    def exponential(self) -> bool:
+        """Whether the linearisation can be made Hurwitz."""
+        return self.stability == ASYMPTOTIC and self.witness is None
 
     @property
     def merit(self) -> Merit:

@@ -14,6 +14,7 @@ _Place: TypeAlias = int | slice | Sequence[int]
 _Entries: TypeAlias = MatrixBase | Iterable[_Scalar] | Iterable[Iterable[_Scalar]]
 
 class SympifyError(ValueError): ...
+class PolynomialError(Exception): ...
 
 class Basic:
     @property

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from helpers.dragged import ATTRACT, dragged
 from helpers.export_cases import arm_loop, design, pendulum_loop
 
 from necc_casadi.export.sampled_loop import (
@@ -80,6 +81,12 @@ def test_warnings():
     assert result.spectral_radius > 1
     assert "not stable" in result.warning
     assert f"{largest:.3g} s" in result.warning
+
+
+def test_a_mode_that_neither_decays_nor_grows_is_not_judged():
+    result = analyse_sampling(dragged(ATTRACT["on both"]), 0.01)
+    assert result.spectral_radius == pytest.approx(1, abs=1e-12)
+    assert "not known" in result.warning
 
 
 def test_an_unstable_loop_has_no_stable_sample_time():

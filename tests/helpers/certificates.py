@@ -34,7 +34,7 @@ def reword(data):
     numbers = (data["radius"], data["mu"], data["bound_rigorous"])
     claim(data, "equilibrium")["statement"] = statements.equilibrium(*numbers)
     attraction = claim(data, "attraction")
-    attraction["statement"] = statements.attraction(attraction["data"]["rate"])
+    attraction["statement"] = statements.attraction(attraction["data"].get("rate"))
     if data["region"] is not None:
         region = claim(data, "region")
         region["statement"] = worded(data, region["data"]["follows"])

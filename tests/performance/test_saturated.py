@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.dragged import creeping
 from helpers.problems import PENDULUM, problem, solve
 
 from necc_casadi.model.cost import bryson
@@ -141,3 +142,11 @@ def test_lqr_is_followed_from_the_same_starts(default_design):
     assert both.sum() >= 4
     ratio = float(np.exp(np.mean(np.log(ours[both] / costs[both]))))
     assert 0.9 < ratio < 1.5
+
+
+def test_nothing_is_at_rest_elsewhere_where_a_loop_creeps():
+    """ȧ = −a³: the pace falls faster than the distance, and z̄ is the only place of rest."""
+    made = creeping()
+    found = saturated(made, cost_of(made))
+    assert not found.arrived.any()
+    assert not found.strayed

@@ -1,8 +1,11 @@
 """Convergence of many starts: the order of the steps, and agreement with responses one by one."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from helpers.constructed import make_design, mechanical
+from helpers.dragged import creeping
 
 from necc_casadi.lyapunov.networks import Network
 from necc_casadi.lyapunov.parameterization import Form
@@ -77,3 +80,18 @@ def test_share_of_a_loop_with_a_second_minimum_is_the_side_of_the_saddle():
     share = simulated_share(made, [1])
     assert 0.3 < share < 0.9
     assert share == simulated_share(made, [1])
+
+
+def test_running_out_of_time_tells_nothing_of_a_loop_that_creeps():
+    made = creeping()
+    assert made.creeps
+    assert made.abscissa == 0
+    starts = np.array([[0.5, 0, 0, 0], [0, 0.5, 0, 0]])
+    found = converging(made, starts)
+    assert found.arrived.tolist() == [False, True]
+    assert found.unfinished.tolist() == [True, False]
+    assert simulated_share(made, (2,)) is None
+    only_stable = dataclasses.replace(made.verdict, stability="stable", witness="a rests")
+    found = converging(dataclasses.replace(made, verdict=only_stable), starts)
+    assert found.arrived.tolist() == [False, True]
+    assert not found.unfinished.any()

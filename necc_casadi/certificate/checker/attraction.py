@@ -1,4 +1,4 @@
-"""Whether the damped loop goes to z̄, re-proved in balls: Lyapunov's indirect method."""
+"""Whether the damped loop goes to z̄, re-proved in balls: Lyapunov's indirect method, or no rate."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from necc_casadi.certificate.checker.arithmetic.balls import Box, ball, evaluate
 from necc_casadi.certificate.checker.arithmetic.definite import lyapunov_matrix, middle_of, positive
 from necc_casadi.certificate.checker.arithmetic.potential import hessian_hull
 from necc_casadi.certificate.checker.evidence import Checked, Evidence, Obligation
+from necc_casadi.certificate.checker.vanishing_damping import no_motion_near
 from necc_casadi.certificate.claims import statements
 from necc_casadi.symbolic.zero import is_zero
 
@@ -20,7 +21,12 @@ _SOUND = "z̄ is an equilibrium of a loop along which V decreases"
 
 
 def check_attraction(evidence: Evidence, sound: bool) -> Checked:
-    """The linearisation plus the claimed rate is Hurwitz: AᵀP + PA ≺ 0, P ≻ 0 (Lyapunov)."""
+    """The linearisation plus the claimed rate is Hurwitz: AᵀP + PA ≺ 0, P ≻ 0 (Lyapunov).
+
+    Without a rate: no motion near z̄ but rest keeps V constant (LaSalle).
+    """
+    if "rate" not in evidence.claims["attraction"].data:
+        return _without_rate(evidence, sound)
     rate, time = evidence.number("attraction", "rate"), evidence.model.units.time
 
     def hurwitz() -> bool:
@@ -42,6 +48,17 @@ def check_attraction(evidence: Evidence, sound: bool) -> Checked:
             ("the rate is not negative", lambda: rate >= 0),
             ("the Lyapunov inequality at z̄", hurwitz),
         ],
+    )
+
+
+def _without_rate(evidence: Evidence, sound: bool) -> Checked:
+    def attracts() -> bool:
+        return no_motion_near(evidence.full, evidence.z_bar(range(len(evidence.model.z))))
+
+    return Checked.by(
+        "attraction",
+        statements.attraction(None),
+        [(_SOUND, lambda: sound), ("no motion near z̄ but rest keeps V constant", attracts)],
     )
 
 

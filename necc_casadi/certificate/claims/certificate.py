@@ -74,6 +74,12 @@ class Certificate:
         return needed <= held and self.stability is not None
 
     @property
+    def attracts_at_no_rate(self) -> bool:
+        """Whether z̄ is proved to attract, and nothing of how fast."""
+        rates = ("rate" in claim.data for claim in self.claims if claim.name == "attraction")
+        return self.stability == "asymptotic" and not any(rates)
+
+    @property
     def of_the_whole_space(self) -> bool:
         """Whether what is claimed of solutions is claimed from everywhere."""
         return any(claim.name == "global" and claim.holds for claim in self.claims)

@@ -164,8 +164,13 @@ def slope(delta: float | None) -> str:
     return f"Φ₁ ≥ {_down(delta, 6)} everywhere, by construction of the neural Φ"
 
 
-def attraction(rate: float) -> str:
-    """Of a proved rate of decay of the linearisation."""
+def attraction(rate: float | None) -> str:
+    """Of a proved rate of decay of the linearisation; None where it has none."""
+    if rate is None:
+        return (
+            "z̄ is locally asymptotically stable: no motion near it but rest keeps V constant, "
+            "whichever factors of the dissipation vanish along it; no rate is claimed"
+        )
     below = f"-{_down(rate, 3)}" if rate > 0 else "0"
     return (
         "z̄ is locally asymptotically stable: every eigenvalue of the linearisation has a real "

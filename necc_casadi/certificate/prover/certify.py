@@ -31,6 +31,7 @@ from necc_casadi.certificate.prover.input_limits import clipping_is_covered, hol
 from necc_casadi.certificate.prover.region.proof import RegionProof
 from necc_casadi.certificate.prover.region.region import prove_region, prove_region_within_limits
 from necc_casadi.certificate.prover.solutions import what_follows
+from necc_casadi.certificate.prover.vanishing_damping import prove_slow_attraction
 from necc_casadi.designs.design import Design
 
 __all__ = ["certify", "units_of"]
@@ -106,6 +107,9 @@ def _local(
         return (*claims, attraction), None
     if attraction.holds:
         return (*claims, attraction), "asymptotic"
+    slow = prove_slow_attraction(potential, equilibrium.box)
+    if slow is not None:
+        return (*claims, slow), "asymptotic"
     only_stable = prove_only_stable(design)
     if only_stable is None:
         return (*claims, attraction), None
