@@ -146,6 +146,10 @@ def _preliminary_text(plant: Plant, text: Callable[[Any], Any]) -> dict[str, Any
     return {"preliminary": {key: text(getattr(plant.preliminary, key)) for key in _PRELIMINARY}}
 
 
+def _ahead_of(matrices: Mapping[str, sp.ImmutableMatrix]) -> Preliminary:
+    return Preliminary(matrices["f"], matrices["g"], matrices["u0"], matrices["gain"])
+
+
 def _controller_text(loop: ClosedLoop, text: Callable[[Any], Any]) -> dict[str, Any]:
     """Jc, Rc and Gc of the published loop, or γ and α of power shaping."""
     if isinstance(loop, ShapedLoop):
@@ -278,7 +282,7 @@ def from_dict(data: Mapping[str, Any]) -> Parts:
         properties=properties[:split],
         preliminary=None
         if "preliminary" not in model
-        else Preliminary(**{key: matrix(model["preliminary"][key]) for key in _PRELIMINARY}),
+        else _ahead_of({k: matrix(model["preliminary"][k]) for k in _PRELIMINARY}),
     )
     if "gamma" in model:
         gamma = read(model["gamma"])

@@ -34,7 +34,8 @@ def plant_with_feedback(
     inverse = _scale(matching, x_star).inv()
     G = sp.ImmutableMatrix(matching.plant.G * inverse)
     gain = sp.ImmutableMatrix(matching.gain * inverse)
-    ahead = Preliminary(matching.drift, matching.ports, matching.u0, gain)
+    origin = like if isinstance(like, Plant) else None
+    ahead = Preliminary(matching.drift, matching.ports, matching.u0, gain, origin)
     plant = replace(
         matching.plant,
         G=G,

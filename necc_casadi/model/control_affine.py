@@ -98,6 +98,8 @@ class Preliminary:
     g: sp.ImmutableMatrix  # n × m
     u0: sp.ImmutableMatrix  # m × 1
     gain: sp.ImmutableMatrix  # B, m × m
+    #: the plant with its own energy, where it has one: it knows the sizes of its states
+    origin: Equilibria | None = None
 
     def residuals(self, flow: sp.MatrixBase, ports: sp.MatrixBase) -> tuple[sp.Expr, ...]:
         """What must vanish for a structure with this flow (J_d − R_d)∇H₀ and these ports G_d."""

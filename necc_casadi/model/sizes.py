@@ -18,6 +18,8 @@ import sympy as sp
 
 from necc_casadi.arrays import Vector
 from necc_casadi.model.closed_loop import ClosedLoop
+from necc_casadi.model.control_affine import Preliminary
+from necc_casadi.model.controller import Controller
 from necc_casadi.model.plant import Plant
 from necc_casadi.symbolic.derivatives import at, gradient
 from necc_casadi.symbolic.floats import to_float
@@ -100,7 +102,6 @@ def input_names(m: int) -> tuple[str, ...]:
     return ("u",) if m == 1 else tuple(f"u{i + 1}" for i in range(m))
 
 
-@np.errstate(all="ignore")  # what overflows is left out of every mean
 def natural_sizes(
     loop: ClosedLoop,
     casimirs: Sequence[sp.Expr],
@@ -124,6 +125,20 @@ def natural_sizes(
     xi
         Controller state at which the Casimirs are looked at, (nc,); 0 by default.
     """
+    with np.errstate(all="ignore"):  # what overflows is left out of every mean
+        found = _by_displacement(loop, casimirs, x_star, xi)
+        if loop.plant.preliminary is None:
+            return found
+        return _behind_feedback(loop, loop.plant.preliminary, found, casimirs, x_star, xi)
+
+
+def _by_displacement(
+    loop: ClosedLoop,
+    casimirs: Sequence[sp.Expr],
+    x_star: Mapping[sp.Symbol, sp.Expr],
+    xi: Vector | None,
+) -> Sizes:
+    """The sizes that follow from the displacement of the target and the energy that it takes."""
     plant = loop.plant
     given = _given(loop)
     local = _Local.of(plant, x_star)
@@ -153,6 +168,46 @@ def natural_sizes(
         time=float(_sound(np.array([time]))[0]),
         casimir=_casimir_sizes(slopes, everything),
         guessed=tuple(name for name in names if name not in given),
+    )
+
+
+def _behind_feedback(
+    loop: ClosedLoop,
+    ahead: Preliminary,
+    found: Sizes,
+    casimirs: Sequence[sp.Expr],
+    x_star: Mapping[sp.Symbol, sp.Expr],
+    xi: Vector | None,
+) -> Sizes:
+    """Of a structure that feedback makes: states and inputs as the plant itself has them.
+
+    The structure's energy may be of any unit and its quadratic form far from diagonal: energy is
+    the mean of its curvatures in these sizes, time that of the plant's own rates.
+    """
+    plant, n = loop.plant, loop.plant.n
+    state, inputs, guessed = found.state[:n], found.input, found.guessed
+    if isinstance(ahead.origin, Plant):
+        none = sp.ImmutableMatrix(sp.zeros(0, 0))
+        alone = ClosedLoop(ahead.origin, Controller((), none, none, none))
+        own = natural_sizes(alone, (), x_star)
+        state, inputs = own.state, own.input
+        left = set(loop.controller.states) & set(found.guessed)
+        guessed = (*own.guessed[: len(own.guessed)], *sorted(left))
+    rates = _numbers(at(sp.Matrix(plant.drift).jacobian(plant.x), x_star))
+    curvature = _numbers(at(sp.hessian(plant.H, plant.x), x_star)) * np.outer(state, state)
+    times = [float(1 / abs(v)) for v in np.linalg.eigvals(rates) if abs(v) > _ROUNDING]
+    energy = geometric_mean(map(float, np.linalg.eigvalsh(curvature))) or found.energy
+    slopes = _slopes(loop, casimirs, x_star, xi)
+    known = _given(loop)
+    inner = _controller_sizes(loop, known, slopes, state, energy, inputs, xi)
+    everything = _sound(np.concatenate([state, inner]))
+    return Sizes(
+        state=everything,
+        input=_sound(inputs),
+        energy=float(_sound(np.array([energy]))[0]),
+        time=geometric_mean(times) or found.time,
+        casimir=_casimir_sizes(slopes, everything),
+        guessed=guessed,
     )
 
 
