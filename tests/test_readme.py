@@ -58,10 +58,14 @@ def test_other_commands_of_the_readme(designed):
     assert (folder / "r.csv").read_text().startswith("t,q,p,xi1,u1,V")
     certified = run("necc-certify pendulum-design", folder)
     assert certified.returncode == 0, certified.stdout + certified.stderr
-    refusal = next(b for b in blocks("") if b.startswith("necc-design examples/cart_pole"))
-    refused = run(refusal.strip().splitlines()[0], folder)
+    upright = next(b for b in blocks("") if b.startswith("necc-design examples/cart_pole"))
+    command = upright.strip().splitlines()[0]
+    held = run(f"{command} --check", folder)
+    assert held.returncode == 0
+    assert "method      mechanical: holds the target" in held.stdout
+    refused = run(f"{command} --check --method interconnection", folder)
     assert refused.returncode == 3
-    assert "theta" in refused.stdout
+    assert "invisible_negative_curvature: theta" in refused.stdout
 
 
 def test_model_and_python_code_of_the_readme(designed, monkeypatch):

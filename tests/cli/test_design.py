@@ -109,9 +109,10 @@ def test_a_negative_target_needs_no_quoting(tmp_path):
 
 def test_a_refusal_is_exit_3_with_the_reason(tmp_path):
     path = model(tmp_path, "R = sp.diag(1, 0)")  # dissipation in the coordinate to be shaped
-    code, out, _ = design(path, "--target", "q=pi/4", "--json", "--out", tmp_path / "o")
+    alone = ("--method", "interconnection", "--json", "--out", tmp_path / "o")
+    code, out, _ = design(path, "--target", "q=pi/4", *alone)
     data = json.loads(out)
-    assert (code, data["status"]) == (3, "refused")
+    assert (code, data["status"], data["method"]) == (3, "refused", None)
     assert data["verdict"]["assignable"] is False
     assert data["verdict"]["reason"] in ("not_an_equilibrium", "invisible_gradient")
     assert data["design"] is None
