@@ -287,3 +287,14 @@ def test_the_plain_loop_accepts_the_structure(found, case):
     loop = interconnect(matching.plant, default_controller(matching.plant))
     verdict = judge(loop, find_casimirs(loop, (), target), target)
     assert (verdict.reason, verdict.stability) == ("ok", "asymptotic")
+
+
+def test_large_plants_and_poles_are_told():
+    x = sp.symbols("x1:18", real=True)
+    result, _ = structure_of([*x[1:], 0], [*[0] * 16, 1], x, [0] * 17)
+    assert not result.proved
+    assert "states" in result.reason
+    q, p = sp.symbols("q p", real=True)
+    result, _ = structure_of([p / q, 0], [0, 1], (q, p), (0, 0))
+    assert not result.proved
+    assert "finite" in result.reason
