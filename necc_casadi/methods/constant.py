@@ -25,6 +25,7 @@ import numpy as np
 import sympy as sp
 
 from necc_casadi.arrays import Vector
+from necc_casadi.errors import ModelError
 from necc_casadi.methods.no_structure import NoStructure
 from necc_casadi.methods.refutation import no_constant_structure, uncontrollable_growth
 from necc_casadi.methods.semidefinite_program import SemidefiniteProgram
@@ -37,7 +38,7 @@ from necc_casadi.symbolic.expressions import split_logarithms
 from necc_casadi.symbolic.floats import float_matrix, to_float
 from necc_casadi.symbolic.linear_algebra import constant_kernel, kernel, reduced_rows, tidy
 from necc_casadi.symbolic.primitive import primitive
-from necc_casadi.symbolic.zero import is_zero
+from necc_casadi.symbolic.zero import Undecided, is_zero
 
 __all__ = ["constant_structure"]
 
@@ -52,6 +53,9 @@ _DIGITS = (2, 3, 5, 8, 12)
 
 #: Share of a vector across another one below which it is taken as rounding.
 _PARALLEL = 1e-9
+
+#: States beyond which expressions take minutes.
+_LARGEST = 16
 
 #: States beyond which subsets of coordinates are not tried one after another.
 _MOST_STATES = 6
@@ -132,7 +136,7 @@ def constant_structure(
         States, and their exact values at an equilibrium.
     sizes
         What a large value of each state is; by default a quarter of its domain, and where there is
-        none, sizes in which the linearised plant is balanced.
+        none, sizes with which the linearised plant moves all states alike.
     name, units, domain
         Of the plant, for the structure.
 
@@ -146,15 +150,39 @@ def constant_structure(
     f, G = sp.Matrix(drift), sp.Matrix(ports)
     if G.free_symbols:
         return NoStructure(_FAMILY, "G depends on the state", False)
+    if len(x) > _LARGEST:
+        return NoStructure(_FAMILY, f"plants of more than {_LARGEST} states are not tried", False)
     A = sp.Matrix(at(f.jacobian(list(x)), x_star))
+    if not np.all(np.isfinite(float_matrix(A))):
+        return NoStructure(_FAMILY, "f has no finite slopes at the target", False)
     chosen = tuple(_sizes(x, A, sizes or {}, domain or {}))
     question = _Question(f, G, tuple(x), x_star, chosen)
+    try:
+        return _structure(question, A, name, units or {}, domain or {})
+    except Undecided as unknown:
+        reason = f"no proof was found whether {unknown} is zero"
+    except ModelError as problem:
+        reason = problem.fault
+    return NoStructure(_FAMILY, reason, False)
+
+
+def _structure(
+    question: _Question,
+    A: sp.Matrix,
+    name: str,
+    units: Mapping[str, str],
+    domain: Mapping[str, tuple[sp.Expr, sp.Expr]],
+) -> Matching | NoStructure:
+    """The first proposal that is proved, or why there is none."""
+    x_star = question.x_star
     if question.annihilator.rows == 0:
         return NoStructure(_FAMILY, "every state has an input of its own", False)
     still = [is_zero(value_at(entry, x_star)) for entry in question.s]
-    if not all(zero is True for zero in still):
-        return NoStructure(_FAMILY, "the target is not proved to be an equilibrium", False in still)
-    if uncontrollable_growth(A, G):
+    if False in still:
+        return NoStructure(_FAMILY, "the target is no equilibrium", True)
+    if None in still:
+        return NoStructure(_FAMILY, "the target is not proved to be an equilibrium", False)
+    if uncontrollable_growth(A, question.G):
         reason = "no structure: a mode that no input reaches does not decay at the target"
         return NoStructure(_FAMILY, reason, True)
     reason = "none was found"
@@ -162,7 +190,7 @@ def constant_structure(
         B = next((B for B in roundings if question.proved(B)), None)
         if B is None:
             continue
-        matching = _matching(question, B, name, units or {}, domain or {})
+        matching = _matching(question, B, name, units, domain)
         if isinstance(matching, Matching):
             return matching
         reason = matching
@@ -176,7 +204,10 @@ def _candidates(question: _Question) -> Iterator[Iterator[sp.Matrix]]:
     if question.annihilator.rows == 1:
         yield from _single_rows(question)
         return
-    family = reduced(_symmetric_family(question), question.annihilator)
+    family = [
+        B / _power_of_two(float(np.abs(float_matrix(B * question.T.inv())).max()))
+        for B in reduced(_symmetric_family(question), question.annihilator)
+    ]
     if not family:
         return
     for margin in _MARGINS:
@@ -242,8 +273,6 @@ def _well_conditioned(
     row = float_matrix(question.annihilator * question.T)
     slope = float_matrix(question.slopes_there * question.T) / question.rate
     members = np.array([float_matrix(B) / size for B in family])
-    scale = np.abs(members).max(axis=(1, 2))
-    members = members / scale[:, None, None]
     r, n = row.shape
     units = [(i, j) for i in range(n) for j in range(i + 1)]
     count, width = len(members), len(members) + len(units) + 1
@@ -272,7 +301,7 @@ def _well_conditioned(
         equations=equations,
     )
     found = program.solution()
-    return None if found is None else found[:count] / scale
+    return None if found is None else found[:count]
 
 
 def _matching(
@@ -286,7 +315,7 @@ def _matching(
     energy = _energy(question, B)
     if energy is None:
         return "B∇H₀ = s has no closed form that was found"
-    N = kernel(B)
+    N = _of_one_size(kernel(B))
     H = _with_minimum(question, B, N, energy)
     if H is None:
         return "∇²H₀ is not proved to be positive definite"
@@ -307,6 +336,17 @@ def _matching(
         shaping=tuple(sp.expand(entry) for entry in shaping),
     )
     return matching if matching.holds else "the matching equations could not be proved"
+
+
+def _of_one_size(N: sp.Matrix) -> sp.Matrix:
+    """Columns times powers of two, with entries of order 1: those of a kernel are long integers."""
+    scale = []
+    for k in range(N.cols):
+        entries = [e for e in N[:, k] if isinstance(e, sp.Rational)]
+        largest = max(entries, key=lambda e: abs(e), default=sp.Integer(1))
+        bits = abs(int(largest.p)).bit_length() - int(largest.q).bit_length()
+        scale.append(sp.Rational(1, 2**bits) if bits >= 0 else sp.Integer(2**-bits))
+    return N * sp.diag(*scale)
 
 
 def _tidy(expr: sp.Expr) -> sp.Expr:
@@ -392,6 +432,8 @@ def _with_minimum(
     wanted = C.T @ np.linalg.solve(S, C) + sigma * squares - free.T @ Q @ free
     theta = np.linalg.solve(squares, np.linalg.solve(squares, wanted).T)
     scale = float(np.abs(theta).max()) or 1.0
+    if not np.isfinite(scale):
+        return None
     unit = _power_of_two(scale)
     shares = (theta + theta.T) / (2 * to_float(unit))
     for digits in _DIGITS:
@@ -434,7 +476,11 @@ def _sizes(
     given: Mapping[sp.Symbol, float],
     domain: Mapping[str, tuple[sp.Expr, sp.Expr]],
 ) -> list[sp.Rational]:
-    """Powers of two near the sizes of the states; the others balance the linearised plant."""
+    """Powers of two near the sizes of the states.
+
+    Those that nobody gave fit the others best: within the mean time τ of the plant's modes a state
+    moves another one by its size, sᵢ = τ|aᵢⱼ|sⱼ. A common factor does not matter.
+    """
     known: dict[int, float] = {}
     for i, s in enumerate(x):
         if s in given:
@@ -442,15 +488,21 @@ def _sizes(
         elif str(s) in domain:
             lo, hi = domain[str(s)]
             known[i] = to_float(hi - lo) / 4
-    size = np.array([known.get(i, 1.0) for i in range(len(x))])
-    rates = np.abs(float_matrix(A))
-    np.fill_diagonal(rates, 0.0)
-    for _ in range(8):
-        for i in (i for i in range(len(x)) if i not in known):
-            out, into = rates[i] @ size / size[i], rates[:, i] @ (1 / size) * size[i]
-            if out > 0 and into > 0:
-                size[i] *= np.sqrt(out / into)
-    return [_power_of_two(float(value)) for value in size]
+    rates = float_matrix(A)
+    modes = np.abs(np.linalg.eigvals(rates))
+    modes = modes[modes > _PARALLEL * modes.max()]
+    rate = float(np.exp(np.mean(np.log(modes)))) if len(modes) else 1.0
+    pairs = [(i, j) for i, j in np.argwhere(rates) if i != j]
+    unknown = np.zeros((len(pairs), len(x)))
+    for row, (i, j) in zip(unknown, pairs, strict=True):
+        row[i], row[j] = 1.0, -1.0
+    ratios = np.array([np.log(abs(rates[i, j]) / rate) for i, j in pairs])
+    size = np.array([np.log(known.get(i, 1.0)) for i in range(len(x))])
+    free = [i for i in range(len(x)) if i not in known]
+    if pairs and free:
+        rest = ratios - unknown @ size
+        size[free] += np.linalg.lstsq(unknown[:, free], rest, rcond=None)[0]
+    return [_power_of_two(float(value)) for value in np.exp(size)]
 
 
 def _power_of_two(value: float) -> sp.Rational:

@@ -28,6 +28,7 @@ from itertools import combinations, combinations_with_replacement
 
 import sympy as sp
 
+from necc_casadi.errors import ModelError
 from necc_casadi.methods.mechanical_model import FreeRow, MechanicalModel, mechanical_model, short
 from necc_casadi.methods.no_structure import NoStructure
 from necc_casadi.model.matching import Matching
@@ -35,7 +36,7 @@ from necc_casadi.model.plant import Plant, make_plant
 from necc_casadi.symbolic.derivatives import gradient, value_at
 from necc_casadi.symbolic.floats import to_float
 from necc_casadi.symbolic.quadrature import quadrature
-from necc_casadi.symbolic.zero import is_zero, sign
+from necc_casadi.symbolic.zero import Undecided, is_zero, sign
 
 __all__ = ["mechanical_structures"]
 
@@ -130,6 +131,19 @@ def mechanical_structures(
     NoStructure
         For each family without one.
     """
+    try:
+        yield from _structures(plant, x_star)
+    except Undecided as unknown:
+        reason = f"no proof was found whether {unknown} is zero"
+        yield NoStructure("mechanical", reason, False)
+    except ModelError as problem:
+        yield NoStructure("mechanical", problem.fault, False)
+
+
+def _structures(
+    plant: Plant, x_star: Mapping[sp.Symbol, sp.Expr]
+) -> Iterator[Matching | NoStructure]:
+    """What each family gives, or what stands against all of them."""
     model = mechanical_model(plant)
     if isinstance(model, str):
         yield NoStructure("mechanical", f"it is not tried, because {model}", False)
@@ -187,8 +201,8 @@ def _of_curvature(question: _Question) -> NoStructure | None:
     if not all(is_zero(entry) is True for entry in parallel) or sign(slopes[row.r]) not in (0, -1):
         return None
     reason = (
-        "no mechanical structure has a minimum there, because the force that no input opposes "
-        "changes only along the row that no input enters"
+        "no mechanical structure has a nondegenerate minimum there: the force that no input "
+        "opposes changes only along the row that no input enters"
     )
     return NoStructure("mechanical", reason, True)
 

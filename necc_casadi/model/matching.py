@@ -32,7 +32,7 @@ class Matching:
     plant: Plant  # x, J_d, R_d, G_d, H₀
     u0: sp.ImmutableMatrix  # u₀(x), m × 1
     gain: sp.ImmutableMatrix  # A(x), m × columns of G_d
-    shaping: tuple[sp.Expr, ...] = ()  # γ(x) known of old, with (J_d − R_d)∇γ = −G_d
+    shaping: tuple[sp.Expr, ...] = ()  # γ(x), where known: (J_d − R_d)∇γ = −G_d
 
     @cached_property
     def residuals(self) -> tuple[sp.Expr, ...]:

@@ -97,7 +97,7 @@ WHOLE = {
     "hydraulic_cylinder", "mass_spring_chain", "mems_comb", "quarter_car", "qube_pendulum",
     "series_rlc", "symmetric_chain", "tora",
 }  # fmt: skip
-REFUSED = {"parallel_rlc"}
+REFUSED = {"parallel_rlc", "inertia_wheel", "vtol", "ball_and_beam", "furuta"}
 REAL = [name for name, kind in ENDED.items() if kind != "input_limits"]
 #: As a share of the obstacle's height above V(z̄): beyond it, by more than any rounding.
 BEYOND = 1.02

@@ -3,15 +3,22 @@
 import numpy as np
 import pytest
 import sympy as sp
+from helpers.symbolic_plants import load
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from necc_casadi.casimirs.find import find_casimirs
 from necc_casadi.methods.constant import constant_structure
+from necc_casadi.methods.mechanical import mechanical_structures
 from necc_casadi.methods.no_structure import NoStructure
 from necc_casadi.methods.refutation import no_constant_structure, uncontrollable_growth
+from necc_casadi.model.closed_loop import interconnect
+from necc_casadi.model.controller import default_controller
 from necc_casadi.model.matching import Matching
+from necc_casadi.model.plant import make_plant
 from necc_casadi.symbolic.definiteness import definiteness
 from necc_casadi.symbolic.floats import float_matrix
+from necc_casadi.verdict.judge import judge
 
 R = sp.Rational
 
@@ -259,3 +266,35 @@ def test_what_is_not_covered_is_told(change, piece, proved):
     assert isinstance(result, NoStructure)
     assert piece in result.reason
     assert result.proved == proved
+
+
+def test_friction_of_an_inertia_wheel_leaves_a_constant_structure():
+    """Where no mechanical one is found."""
+    plant, _, target = load("inertia_wheel")
+    R2 = sp.diag(0, 0, R(1, 1000), R(1, 1000))
+    damped = make_plant(plant.x, plant.J, R2, plant.G, plant.H)
+    (none,) = mechanical_structures(damped, target)
+    assert isinstance(none, NoStructure)
+    matching = constant_structure((plant.J - R2) * plant.grad_H, plant.G, plant.x, target)
+    assert matching.holds
+    assert definiteness(sp.hessian(matching.plant.H, plant.x).subs(target))[0] == "positive"
+
+
+@pytest.mark.parametrize("case", [levitation, synchronous_motor, reactor, generator])
+def test_the_plain_loop_accepts_the_structure(found, case):
+    """H₀ has its minimum at the target already, so no Casimir is needed."""
+    matching, target = found(case)
+    loop = interconnect(matching.plant, default_controller(matching.plant))
+    verdict = judge(loop, find_casimirs(loop, (), target), target)
+    assert (verdict.reason, verdict.stability) == ("ok", "asymptotic")
+
+
+def test_large_plants_and_poles_are_told():
+    x = sp.symbols("x1:18", real=True)
+    result, _ = structure_of([*x[1:], 0], [*[0] * 16, 1], x, [0] * 17)
+    assert not result.proved
+    assert "states" in result.reason
+    q, p = sp.symbols("q p", real=True)
+    result, _ = structure_of([p / q, 0], [0, 1], (q, p), (0, 0))
+    assert not result.proved
+    assert "finite" in result.reason

@@ -5,6 +5,7 @@ import pytest
 import sympy as sp
 from helpers.symbolic_plants import canonical, load
 
+from necc_casadi import certify, design
 from necc_casadi.casimirs.find import find_casimirs
 from necc_casadi.methods.mechanical import mechanical_structures
 from necc_casadi.methods.no_structure import NoStructure
@@ -187,3 +188,15 @@ def test_forces_of_the_row_that_cannot_be_integrated_prove_nothing():
     results = list(mechanical_structures(plant, at(plant, {})))
     assert all(isinstance(result, NoStructure) and not result.proved for result in results)
     assert len(results) == 3
+
+
+def test_the_upright_cart_pole_is_certified(found):
+    _, target, results = found("cart_pole")
+    matching = results[0]
+    loop = interconnect(matching.plant, default_controller(matching.plant))
+    casimirs = find_casimirs(loop, [loop.controller.xi[0] - matching.shaping[0]], target)
+    made = design(loop, casimirs, judge(loop, casimirs, target), target)
+    claims = {claim.name: claim.holds for claim in certify(made).claims}
+    assert all(
+        claims[name] for name in ("casimir", "structure", "decrease", "attraction", "region")
+    )

@@ -6,6 +6,7 @@ import sympy as sp
 from necc_casadi.symbolic.zero import is_zero, sign
 
 q, p = sp.symbols("q p", real=True)
+_nested = sp.sqrt(1 + sp.sqrt(1 + q**2))
 
 
 @pytest.mark.parametrize(
@@ -18,6 +19,10 @@ q, p = sp.symbols("q p", real=True)
         sp.sin(q + sp.pi / 4) - (sp.sin(q) + sp.cos(q)) / sp.sqrt(2),
         sp.sqrt(2) + sp.sqrt(3) - sp.sqrt(5 + 2 * sp.sqrt(6)),
         1 / (1 + q) - (1 - q) / (1 - q**2),
+        1 / (sp.sqrt(1 + q**2) - q) - sp.sqrt(1 + q**2) - q,
+        1 / (_nested - 1) - (_nested + 1) / sp.sqrt(1 + q**2),
+        sp.cos(q) ** sp.Rational(5, 3) * (1 - sp.sin(q) ** 2) - sp.cos(q) ** sp.Rational(11, 3),
+        sp.log(6 + 6 * q**2) - sp.log(2) - sp.log(3 + 3 * q**2),
     ],
 )
 def test_zero_is_recognised_and_its_neighbours_are_not(zero):
