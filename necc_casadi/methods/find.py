@@ -35,6 +35,7 @@ class Found:
     published: Method | None  # the published loop, whatever its verdict; None: no such loop
     chosen: Method | None  # what holds the target
     refusals: tuple[Refusal, ...] = ()  # of the methods that do not
+    alternatives: tuple[Method, ...] = ()  # other structures of the method that was chosen
 
     @property
     def learnable(self) -> Method | None:
@@ -57,6 +58,7 @@ def find_method(
     x_star: Mapping[sp.Symbol, sp.Expr],
     wanted: MethodWord = "auto",
     say: Callable[[str], None] = lambda _: None,
+    most: int = 1,
 ) -> Found:
     """The loop that holds a target.
 
@@ -70,6 +72,8 @@ def find_method(
         The one method to be tried; auto: each in turn, the published loop first.
     say
         Called with what is done next.
+    most
+        Structures of the method that holds the target, of which the best response is to be kept.
     """
     system = model.system
     published = _published(model, x_star, say) if isinstance(system, Plant) else None
@@ -80,11 +84,18 @@ def find_method(
     if isinstance(system, Modulated):
         published = question.shifted_loop
     refusals: list[Refusal] = []
+    held: list[Method] = []
     for answer in question.answers():
-        if isinstance(answer, Method):
-            return Found(published, answer, tuple(refusals))
-        refusals.append(answer)
-    return Found(published, None, tuple(refusals))
+        if isinstance(answer, Refusal):
+            refusals += [] if held else [answer]
+        elif held and answer.name != held[0].name:
+            break
+        else:
+            held.append(answer)
+        if len(held) == most:
+            break
+    chosen = held[0] if held else None
+    return Found(published, chosen, tuple(refusals), tuple(held[1:]))
 
 
 def _published(
@@ -152,8 +163,10 @@ class _Question:
         damped = at_its_minimum(shifted, self.x_star)
         if damped is not None:
             yield damped
+            return
         if loop.verdict.assignable:
             yield replace(loop, name="modulated")
+            return
         self.say("looking for power-shaping outputs")
         yield replace(power_shaping(shifted, self.x_star), name="modulated")
 

@@ -15,10 +15,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import sympy as sp
 
 from necc_casadi.certificate.claims.certificate import Certificate
 from necc_casadi.choice.choose import Choice, choose
+from necc_casadi.choice.fitness import response_faults
+from necc_casadi.choice.judged import Judged
 from necc_casadi.designs.design import Design
 from necc_casadi.designs.outcome import Start
 from necc_casadi.errors import InputError
@@ -71,6 +74,10 @@ if TYPE_CHECKING:
 __all__ = ["run_design"]
 
 
+#: Structures of one method that are designed for, to keep the one that responds best.
+_STRUCTURES = 2
+
+
 _RESPONSES = 10
 
 
@@ -117,7 +124,9 @@ def run_design(request: Request, say: Say) -> Findings:
 
 def _made(request: Request, task: _Task, found: Findings, folder: Path, clock: Clock) -> Findings:
     """Everything after a favourable verdict; files go into `folder`."""
-    choice = _chosen(task, clock)
+    choice, method = _chosen(task, clock)
+    task = replace(task, found=replace(task.found, chosen=method))
+    found = replace(found, found=task.found)
     made, certificate = choice.design, choice.certificate
     files = _saved(made, certificate, folder)
     with ThreadPoolExecutor(1) as pool:  # compilers run while the loop is simulated and drawn
@@ -187,7 +196,9 @@ def _judged(request: Request, say: Say) -> _Task:
     notes = [*model.notes, *(check_model_at(model.loop, x_star) if is_plant else ())]
     if request.structure is not None:
         model = with_structure(model, request.structure, x_star)
-    found = find_method(model, x_star, request.method, say)
+    found = find_method(
+        model, x_star, request.method, say, most=1 if request.check else _STRUCTURES
+    )
     if options.learn_casimir and found.learnable is not None:
         found = replace(found, chosen=found.learnable)
     if found.chosen is not None and not is_plant:
@@ -226,14 +237,27 @@ def _answered(task: _Task, options: Options, say: Say) -> Answer:
     return answered(method.loop, method.casimirs, method.verdict, task.x_star, options, report)
 
 
-def _chosen(task: _Task, clock: Clock) -> Choice:
+def _chosen(task: _Task, clock: Clock) -> tuple[Choice, Method]:
     """Train, damp and prove what the options leave to choose from, and keep one."""
-    method = task.method
-    choice = choose(
-        method.loop, method.casimirs, method.verdict, task.x_star, task.options, clock.say
+    made = []
+    for method in (task.method, *task.found.alternatives):
+        choice = choose(
+            method.loop, method.casimirs, method.verdict, task.x_star, task.options, clock.say
+        )
+        made.append((choice, method))
+        for stage, seconds in choice.seconds.items():
+            clock.timings[stage] = clock.timings.get(stage, 0.0) + seconds
+    return max(made, key=lambda pair: _fitness(pair[0].kept))
+
+
+def _fitness(kept: Judged) -> tuple[bool, int, float]:
+    """What is proved, how many starts arrive, and what they cost: the more the better."""
+    cost = kept.cost_to_lqr
+    return (
+        kept.proved and not response_faults(kept),
+        kept.arrivals,
+        -np.inf if cost is None else -cost,
     )
-    clock.timings.update(choice.seconds)
-    return choice
 
 
 def _saved(made: Design, certificate: Certificate, out: Path) -> list[Path]:
