@@ -100,9 +100,12 @@ class Design(Parts):
 
     def xi_at_start(self, x0: npt.ArrayLike) -> Vector:
         """ξ(0) of this design for a measured plant state (n,), (nc,); ``necc_start`` in C."""
+        natural, n = self.natural, self.loop.plant.n
         if self.initial_xi == "target":
             return self.xi_star
-        natural, n = self.natural, self.loop.plant.n
+        if self.initial_xi == "linear" and self.initial_gain is not None:
+            away = np.asarray(x0, float) - self.z_star[:n]
+            return np.asarray(self.xi_star + self.initial_gain @ away, float)
         x = np.asarray(x0, float) / self.units.state[:n]
         return least_over_xi(natural.lyapunov, natural, x)[0] * self.units.state[n:]
 

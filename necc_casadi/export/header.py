@@ -22,6 +22,7 @@ _METHODS = {
 #: What ``necc_start`` does.
 _START = {
     "target": "as necc_init; returns NECC_OK",
+    "linear": "xi at the equilibrium + T (x0 - x at the target);\n * NECC_REJECTED where x0 is not finite",
     "minimum": "as necc_init_at",
 }
 

@@ -10,7 +10,10 @@ so that xᵀPx is what a response costs near the target. N depends on the weight
 
     min  tr(P Z₀)/tr(P_LQR Σ) + shape + proximity,   ‖A‖_F ≤ √N ω,
 
-ω a few times LQR's fastest mode, Z₀ the mean of z zᵀ over starts of the domain with ξ(0) = ξ*.
+ω a few times LQR's fastest mode, Z₀ the mean of z zᵀ over starts of the domain. Most of them are
+known when the controller starts, and ξ(0) = ξ* + T(x(0) − x*) with the T of least cost; a push that
+comes later finds ξ at ξ*, whatever T is (docs/theory.md, Controller state at the start).
+
 With a rate α, A + αI stands in place of A in the Lyapunov equation: it has a solution P ⪰ 0 only
 where every mode decays faster than α, and the cost is that of responses times exp(αt). LQR's cost
 and modes are those of the plant with the same shift.
@@ -37,22 +40,29 @@ from necc_casadi.designs.outcome import Start
 from necc_casadi.interrupts import interruptible
 from necc_casadi.lyapunov.damping import dissipates
 from necc_casadi.lyapunov.networks import Network
+from necc_casadi.performance.initial_xi import start_gain
 from necc_casadi.synthesis.lifting import Lifting
 from necc_casadi.synthesis.programs import Program
 
 __all__ = [
     "Begin",
+    "LinearLoop",
     "LinearQuadratic",
     "Responsive",
     "coupled_damping",
     "damping_bounds",
     "damping_variables",
     "least_cost",
+    "readable_damping",
 ]
 
 
 #: Multiples of LQR's fastest mode that the loop may have.
-_FASTEST = 6.0
+FASTEST = 6.0
+
+
+#: Share of the starts that are pushes, which ξ does not follow.
+_PUSHED = 0.3
 
 
 #: A norm above this share of the bound lies at it.
@@ -60,7 +70,7 @@ _NEAR_THE_BOUND = 0.97
 
 
 #: Weight of the shape of V, and of staying where training ended.
-_SHAPE, _PROXIMITY = 1e-3, 1e-2
+SHAPE, _PROXIMITY = 1e-3, 1e-2
 
 
 #: Weight of a step away from where a solve begins.
@@ -166,7 +176,7 @@ def least_cost(
     begin
         What to begin with, and not to leave by far; by default what training ended with.
     """
-    loop = _Loop(lifting, aim, damping)
+    loop = LinearLoop(lifting, aim, damping)
     at = (weights, xi_star) if begin is None else (begin.weights, begin.xi_star)
     small = lifting.jets_at(*at)
     eta = np.zeros(loop.eta.numel()) if begin is None else begin.eta
@@ -178,12 +188,11 @@ def least_cost(
     step = None if begin is None else (eta, first)
     nlp = _Nlp(lifting, program, loop, w_hat, xi_star, kappa_min, verbose, step)
     began = time.perf_counter()
-    L = np.asarray(np.linalg.cholesky(P), float)
-    solution, objective = nlp.solve(small, eta, L, first)
+    solution, objective = nlp.solve(small, eta, _upper_factor(P), first)
     seconds = time.perf_counter() - began
     found = lifting.sigma * solution.w_hat + lifting.tau
     xi = solution.small[: lifting.terms.nc]
-    made = _readable(np.asarray(loop.damping_of(solution.eta), float))
+    made = readable_damping(np.asarray(loop.damping_of(solution.eta), float))
     stats = nlp.solver.stats()
     start = Start(
         seed=seed,
@@ -205,16 +214,16 @@ def least_cost(
 def coupled_damping(trained: Vector, eta: Vector) -> Vector:
     """𝒟 of its variables η beside the damping of training, 2m × 2m."""
     symbols, D = damping_variables(trained)
-    return _readable(np.asarray(ca.Function("damping", [symbols], [D])(eta), float))
+    return readable_damping(np.asarray(ca.Function("damping", [symbols], [D])(eta), float))
 
 
-def _readable(damping: Vector) -> Vector:
+def readable_damping(damping: Vector) -> Vector:
     """Three digits of each entry, where that still dissipates."""
     rounded = np.array([[float(f"{v:.3g}") for v in row] for row in damping])
     return rounded if dissipates(rounded) else damping
 
 
-class _Loop:
+class LinearLoop:
     """A, C_u and 𝒟 in the lifted variables and those of the damping; states in their sizes."""
 
     def __init__(self, lifting: Lifting, aim: LinearQuadratic, damping: Vector) -> None:
@@ -241,7 +250,10 @@ class _Loop:
 
     def cost_matrix(self, small: Vector, eta: Vector) -> Vector | None:
         """P of the Lyapunov equation, (N, N); None where the loop does not decay at the rate."""
-        A, W = (np.asarray(v, float) for v in self._matrices.call([small, eta]))
+        return self.cost_of(*(np.asarray(v, float) for v in self._matrices.call([small, eta])))
+
+    def cost_of(self, A: Vector, W: Vector) -> Vector | None:
+        """The same of a loop A whose states and inputs cost W."""
         A = A + self.aim.rate * np.eye(len(A))
         if not np.isfinite(A).all() or np.linalg.eigvals(A).real.max() >= 0:
             return None
@@ -256,18 +268,30 @@ class _Loop:
     def near_the_bound(self, small: Vector, eta: Vector) -> bool:
         """Whether ‖A‖ is all but as large as allowed."""
         A = np.asarray(self._matrices.call([small, eta])[0], float)
-        allowed = np.sqrt(len(A)) * _FASTEST * self.aim.fastest
+        allowed = np.sqrt(len(A)) * FASTEST * self.aim.fastest
         return bool(np.linalg.norm(A) > _NEAR_THE_BOUND * allowed)
+
+    def spread(self, P: Vector) -> Vector:
+        """Z₀ with the T that is best for P, over LQR's cost, (N, N)."""
+        along = np.vstack([np.eye(self.n), start_gain(P, self.n)])
+        Z = (1 - _PUSHED) * along @ self.starts @ along.T
+        Z[: self.n, : self.n] += _PUSHED * self.starts
+        return np.asarray(Z / self.aim.lqr_cost, float)
 
     def relative(self, P: Vector) -> float:
         """tr(P Z₀) over LQR's."""
-        return float(np.sum(P[: self.n, : self.n] * self.starts) / self.aim.lqr_cost)
+        return float(np.sum(P * self.spread(P)))
 
     @property
     def starts(self) -> Vector:
         """Σ of states in their sizes."""
         size = self.size[: self.n]
         return np.asarray(self.aim.starts / np.outer(size, size), float)
+
+
+def _upper_factor(P: Vector) -> Vector:
+    """U upper triangular with UUᵀ = P."""
+    return np.asarray(np.linalg.cholesky(P[::-1, ::-1])[::-1, ::-1], float)
 
 
 def _controller_slope(lifting: Lifting) -> ca.SX:
@@ -316,7 +340,7 @@ class _Nlp:
         self,
         lifting: Lifting,
         program: Program,
-        loop: _Loop,
+        loop: LinearLoop,
         w_hat: Vector,
         xi_star: Vector,
         kappa_min: float,
@@ -325,7 +349,8 @@ class _Nlp:
     ) -> None:
         self.lifting, self.program, self.loop = lifting, program, loop
         size = len(loop.size)
-        self.pattern = [(i, j) for i in range(size) for j in range(i + 1)]
+        # upper triangular: what is left of P where ξ is chosen is then a product of its first block
+        self.pattern = [(i, j) for j in range(size) for i in range(j + 1)]
         entries = ca.SX.sym("p", len(self.pattern))
         core = self._core(entries)
         s, e = ca.MX.sym("s", lifting.small.numel()), ca.MX.sym("e", program.extra.numel())
@@ -361,12 +386,14 @@ class _Nlp:
         shifted = loop.A + loop.aim.rate * ca.SX.eye(size)
         balance = shifted.T @ P + P @ shifted + loop.W
         vanish = ca.vertcat(program.equalities, *[balance[i, j] for i, j in self.pattern])
-        cost = ca.dot(P[:n, :n], ca.DM(loop.starts)) / loop.aim.lqr_cost
-        excess = ca.sumsqr(loop.A) / (_FASTEST * loop.aim.fastest) ** 2 - size
+        known, pushed = L[:n, :n], L[:n, n:]
+        paid = known @ known.T + _PUSHED * pushed @ pushed.T
+        cost = ca.dot(paid, ca.DM(loop.starts)) / loop.aim.lqr_cost
+        excess = ca.sumsqr(loop.A) / (FASTEST * loop.aim.fastest) ** 2 - size
         return ca.Function(
             "core",
             [self.lifting.small, program.extra, loop.eta, entries],
-            [cost + _SHAPE * program.objective, vanish, excess],
+            [cost + SHAPE * program.objective, vanish, excess],
         )
 
     def _weight_cost(self) -> Vector:

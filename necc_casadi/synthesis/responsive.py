@@ -13,6 +13,7 @@ from necc_casadi.lyapunov.opened_loop import plant_linearisation
 from necc_casadi.model.cost import QuadraticCost
 from necc_casadi.model.domain import domain_of
 from necc_casadi.performance.lqr import lqr
+from necc_casadi.synthesis.descent import descended
 from necc_casadi.synthesis.lifting import Lifting
 from necc_casadi.synthesis.options import Options
 from necc_casadi.synthesis.plan import Plan
@@ -108,7 +109,7 @@ class LeastCost:
         if unmoved is not None:
             reachable = max(0.0, -unmoved.real)
             return replace(self.at(_AS_FAST * reachable, price), unmoved=unmoved)
-        first = self._solved(0.0, price, None)
+        first = self._descended(price)
         if first is not None and first.after >= first.before and rate == 0:
             first = None
         now = self.begin(first)
@@ -211,10 +212,27 @@ class LeastCost:
             + np.concatenate([np.log(port), np.zeros(2 * len(below))])
         )
 
+    def _descended(self, price: float) -> Responsive | None:
+        """Quadratic parts and damping of least cost beside the trained networks."""
+        aim = self._aim(0.0, price, 0.0)
+        if aim is None or self.program is None:
+            return None
+        found = descended(
+            self.lifting,
+            aim,
+            self.plan.curvature,
+            self.plan.anchor.kappa_min,
+            self.solution.weights,
+            self.solution.xi_star,
+            self.damping,
+            self.solution.starts[-1].seed,
+        )
+        return None if found is None or found.start.loss > SOLVED else found
+
     def _solved(
-        self, rate: float, price: float, begin: Begin | None, wanted: float = 0.0
+        self, rate: float, price: float, begin: Begin, wanted: float
     ) -> Responsive | None:
-        """One solve on the way to a rate, from the trained V or elsewhere; None: it fell short."""
+        """One solve on the way to a rate; None: it fell short."""
         aim = self._aim(rate, price, wanted)
         if aim is None or self.program is None:
             return None

@@ -55,7 +55,7 @@ class Moving:
         self, lifting: Lifting, kappa_min: float, weights: Vector, xi_star: Vector, trained: Vector
     ) -> None:
         self.lifting, self.kappa_min = lifting, kappa_min
-        self.xi_star = xi_star
+        self.xi_star, self.trained = xi_star, trained
         self.w0 = (weights - lifting.tau) / lifting.sigma
         bases = lifting.bases.call([lifting.jets_at(weights, xi_star)])
         units = lifting.form.split(lifting.sigma)
@@ -94,6 +94,11 @@ class Moving:
         symbol = ca.MX.sym("theta", self.size)
         found = ca.Function("weights", [symbol], [self.weights(symbol)])(theta)
         return np.asarray(found, float).ravel()
+
+    @property
+    def kappa_at(self) -> slice:
+        """Where log(κ − κ_min) stands in θ."""
+        return slice(len(self.affine), len(self.affine) + len(self.kappa))
 
     @property
     def eta_at(self) -> slice:

@@ -17,7 +17,7 @@ from necc_casadi.designs.outcome import Start
 from necc_casadi.lyapunov.damping import uncoupled
 from necc_casadi.lyapunov.lyapunov import LyapunovFunction
 from necc_casadi.model.closed_loop import ClosedLoop
-from necc_casadi.performance.initial_xi import with_better_start
+from necc_casadi.performance.initial_xi import with_better_start, with_start
 from necc_casadi.synthesis.asked import Answer, answer
 from necc_casadi.synthesis.damping import choose_damping
 from necc_casadi.synthesis.learned_casimir import casimir_residual
@@ -128,10 +128,10 @@ def _polished(finish: _Finish) -> Responsive | None:
 
 def _started(found: Answer, plan: Plan, options: Options) -> Design:
     """The design with the better ξ(0), where that keeps the peak that was asked for."""
-    made = found.design
+    made, cost = found.design, options.cost(plan.sizes, plan.terms.n)
     if options.initial_xi is not None:
-        return replace(made, initial_xi=options.initial_xi)
-    better = with_better_start(made, options.cost(plan.sizes, plan.terms.n))
+        return with_start(made, cost, options.initial_xi)
+    better = with_better_start(made, cost)
     changed = better.initial_xi != made.initial_xi
     return made if not changed or (found.asked and found.asked.limits is not None) else better
 
