@@ -22,7 +22,8 @@ _METHODS = {
 #: What ``necc_start`` does.
 _START = {
     "target": "as necc_init; returns NECC_OK",
-    "linear": "xi at the equilibrium + T (x0 - x at the target);\n * NECC_REJECTED where x0 is not finite",
+    "linear": "as necc_init, and T (x0 - x at the target) on top;\n"
+    " * not finite x0: as necc_init, and NECC_REJECTED",
     "minimum": "as necc_init_at",
 }
 

@@ -35,6 +35,10 @@ _MANY_STATES = 16
 _GAIN, _FEW_MORE = 0.03, 1
 
 
+#: Power of the ratios of costs: the worst starts count most.
+_POWER = 2
+
+
 #: Directions of ξ that cost less than this share of the dearest cost nothing: T leaves them alone.
 _FREE = 1e-9
 
@@ -58,7 +62,8 @@ def with_better_start(design: Design, cost: QuadraticCost) -> Design:
     ξ* needs no computing, so it stays unless more of the starts arrive with another ξ(0), or they
     cost less by more than the starts can tell; then ξ* + T(x(0) − x*), in the same way. The minimum
     of V(x(0), ·) is left out where Newton's method does not find it. In loops of many states ξ*
-    stays. Inputs keep to the limits of the model.
+    stays. Inputs keep to the limits of the model, and no ξ(0) is taken that asks for more from more
+    starts than ξ* does.
     """
     if len(design.z_star) > _MANY_STATES or not design.spectrum.real.max() < 0:
         return design
@@ -75,16 +80,22 @@ def with_better_start(design: Design, cost: QuadraticCost) -> Design:
     count = len(tried)
     found = responses(plant, design_feedback(design), starts * count, decay_time(design), xi)
     arrived, paid = found.arrived.reshape(count, -1), found.cost.reshape(count, -1)
+    beyond = (found.demand < plant.u_low) | (found.demand > plant.u_high)
+    clipped = beyond.any(axis=(1, 2)).reshape(count, -1).sum(1)
     best = 0
     for other in range(1, count):
+        if clipped[other] > clipped[0]:
+            continue
         if _is_better(arrived[other], paid[other], arrived[best], paid[best]):
             best = other
     return tried[best]
 
 
 def with_start(design: Design, cost: QuadraticCost, word: InitialXi) -> Design:
-    """The design with this ξ(0); T is the one of least cost."""
-    gain = _gain(design, cost) if word == "linear" else None
+    """The design with this ξ(0); T is the one that it has, else that of least linear cost."""
+    gain = None
+    if word == "linear":
+        gain = _gain(design, cost) if design.initial_gain is None else design.initial_gain
     return replace(design, initial_xi=word, initial_gain=gain)
 
 
@@ -110,4 +121,6 @@ def _is_better(arrived: Truth, cost: Vector, before: Truth, cost_before: Vector)
     both = arrived & before
     if not both.any():
         return False
-    return bool(np.mean(np.log(cost[both] / cost_before[both])) < np.log(1 - _GAIN))
+    least = np.fmin(cost[both], cost_before[both])
+    now, then = (np.mean((paid[both] / least) ** _POWER) for paid in (cost, cost_before))
+    return bool(now < then * (1 - _GAIN) ** _POWER)

@@ -7,12 +7,14 @@ Lyapunov equation is solved, where quadratic_cost.py imposes it:
     J(θ) = tr(PZ₀) + shape,   AᵀP + PA + W = 0,   AY + YAᵀ + Z₀ = 0,
     dJ = 2 tr(YP dA) + tr(Y dW) + …
 
+‖S − T‖∞ at the plant's input, S − T = I + 2C(jωI − A)⁻¹B, adds to J where its disk margin is small.
 Steps are those of Broyden, Fletcher, Goldfarb and Shanno, with Armijo's rule, which accepts no loop
 that is not stable. So there is always an answer, in milliseconds.
 
 References
 ----------
-Nocedal and Wright (2006), chapter 6. Levine and Athans (1970), output feedback.
+Nocedal and Wright (2006), chapter 6. Levine and Athans (1970), output feedback. Seiler, Packard and
+Gahinet (2020), disk margins.
 """
 
 from __future__ import annotations
@@ -57,6 +59,11 @@ _DAMPING = 1e-3
 _BEYOND, _NEAR = 10.0, 0.95
 
 
+#: Weight of a peak of S − T beyond the one of the disk margin 0.9, and the frequencies at which it
+#: is looked for: these multiples of LQR's fastest mode, and so many of them.
+_ROBUST, _PEAK, _SWEPT, _POINTS = 1.0, 2 / 0.9, (1e-2, 1e2), 80
+
+
 def descended(
     lifting: Lifting,
     aim: LinearQuadratic,
@@ -66,21 +73,26 @@ def descended(
     xi_star: Vector,
     damping: Vector,
     seed: int,
+    moves_V: bool = True,
 ) -> Responsive | None:
-    """Quadratic parts and 𝒟 of least cost beside the networks; None where the loop has no cost.
+    """Quadratic parts and 𝒟 of least cost beside the networks; None where nothing costs less.
 
-    Parameters are those of ``least_cost``.
+    Parameters are those of ``least_cost``; with `moves_V` false, 𝒟 alone moves.
     """
     began = time.perf_counter()
-    moving = Moving(lifting, kappa_min, weights, xi_star, damping)
-    objective = _Objective(lifting, aim, a, moving, weights)
+    moving = Moving(lifting, kappa_min, weights, xi_star, damping, networks=False)
+    objective = _Objective(lifting, aim, a, moving, weights, moves_V)
     first = objective.at(objective.first)
     if first is None:
         return None
     last, steps = _descend(objective, first)
-    theta = moving.first(last.theta[objective.kappas :])
-    theta[moving.kappa_at] = last.theta[: objective.kappas]
-    found, eta = moving.weights_at(theta), last.theta[objective.kappas :]
+    if steps == 0:
+        return None
+    eta, found = last.theta[objective.kappas :], weights
+    if moves_V:
+        theta = moving.first(eta)
+        theta[moving.kappa_at] = last.theta[: objective.kappas]
+        found = moving.weights_at(theta)
     start = Start(
         seed=seed,
         mode="cost",
@@ -99,6 +111,7 @@ def descended(
         before=first.cost,
         after=last.cost,
         at_the_bound=last.speed > _NEAR,
+        gain=objective.loop.gain(last.P),
     )
 
 
@@ -114,14 +127,45 @@ class _At:
     gap: Vector  # ∇²V(z*) − diag(a), natural units
     speed: float  # ‖A‖² over what is allowed
     outside: Vector  # of the bounds of η
+    peak: _Peak  # of S − T at the plant's input
+
+
+@dataclass(frozen=True, eq=False)
+class _Peak:
+    """‖S − T‖∞ over some frequencies, and its slopes."""
+
+    size: float
+    by_A: Vector
+    by_C: Vector  # (m, N)
+
+
+def _peak(A: Vector, C: Vector, B: Vector, frequencies: Vector) -> _Peak:
+    """Of S − T = I + 2C(jωI − A)⁻¹B, the loop closed."""
+    resolvent = np.linalg.inv(1j * frequencies[:, None, None] * np.eye(len(A)) - A)
+    moved = resolvent @ B
+    found = np.eye(B.shape[1]) + 2 * C @ moved
+    left, sizes, right = np.linalg.svd(found)
+    k = int(np.argmax(sizes[:, 0]))
+    row = left[k, :, 0].conj() @ C @ resolvent[k]  # pᴴC(jωI − A)⁻¹
+    column = moved[k] @ right[k, 0].conj()  # (jωI − A)⁻¹Bq
+    by_A = 2 * np.real(np.outer(row, column))
+    by_C = 2 * np.real(np.outer(left[k, :, 0].conj(), column))
+    return _Peak(float(sizes[k, 0]), by_A, by_C)
 
 
 class _Objective:
     """J and its slope, of θ = (s, η)."""
 
     def __init__(
-        self, lifting: Lifting, aim: LinearQuadratic, a: Vector, moving: Moving, weights: Vector
+        self,
+        lifting: Lifting,
+        aim: LinearQuadratic,
+        a: Vector,
+        moving: Moving,
+        weights: Vector,
+        moves_V: bool,
     ) -> None:
+        self.moves_V = moves_V
         self.loop = LinearLoop(lifting, aim, moving.trained)
         self.kappas = len(moving.kappa)
         self.bounds = damping_bounds(lifting.terms.m)
@@ -129,22 +173,26 @@ class _Objective:
         small = _stiffened(lifting, moving, weights, s)
         theta = ca.vertcat(s, self.loop.eta)
         size = ca.DM(self.loop.size)
-        gap = ca.diag(size) @ (lifting.N - ca.diag(ca.DM(a))) @ ca.diag(size) / lifting.scales.energy
-        found = ca.substitute([self.loop.A, self.loop.W, gap], [lifting.small], [small])
+        gap = (
+            ca.diag(size) @ (lifting.N - ca.diag(ca.DM(a))) @ ca.diag(size) / lifting.scales.energy
+        )
+        parts = [self.loop.A, self.loop.W, gap, self.loop.C]
+        found = ca.substitute(parts, [lifting.small], [small])
         self._matrices = ca.Function("matrices", [theta], [ca.densify(v) for v in found])
-        duals = [ca.SX.sym(name, *v.shape) for name, v in zip("AWN", found, strict=True)]
+        duals = [ca.SX.sym(name, *v.shape) for name, v in zip("AWNC", found, strict=True)]
         along = sum((ca.dot(d, v) for d, v in zip(duals, found, strict=True)), ca.SX(0))
         self._slope = ca.Function("slope", [theta, *duals], [ca.gradient(along, theta)])
         self.first = moving.first(np.zeros(self.loop.eta.numel()))
         self.first = np.concatenate([self.first[moving.kappa_at], self.first[moving.eta_at]])
         gap_at_start = np.asarray(self._matrices.call([self.first])[2], float)
         self.reference = np.linalg.inv(gap_at_start)
+        self.frequencies = np.geomspace(*_SWEPT, _POINTS) * aim.fastest
         self.allowed = len(gap_at_start) * (FASTEST * aim.fastest) ** 2
 
     def at(self, theta: Vector) -> _At | None:
         """The objective; None where the loop is not stable or V has too little curvature."""
-        A, W, gap = (np.asarray(v, float) for v in self._matrices.call([theta]))
-        if not (np.isfinite(A).all() and np.isfinite(W).all() and np.isfinite(gap).all()):
+        A, W, gap, C = (np.asarray(v, float) for v in self._matrices.call([theta]))
+        if not all(np.isfinite(v).all() for v in (A, W, gap, C)):
             return None
         if np.linalg.eigvalsh(gap)[0] <= 0:
             return None
@@ -158,7 +206,9 @@ class _Objective:
         shape = float(np.trace(relative) - np.linalg.slogdet(relative)[1]) - len(gap)
         beyond = max(speed - _NEAR, 0.0) ** 2 + float(outside @ outside)
         value = cost + SHAPE * shape + _DAMPING * float(eta @ eta) / 2 + _BEYOND * beyond
-        return _At(theta, value, cost, A, P, gap, speed, outside)
+        peak = _peak(A, C, self.loop.B, self.frequencies)
+        value += _ROBUST * max(peak.size - _PEAK, 0.0) ** 2
+        return _At(theta, value, cost, A, P, gap, speed, outside, peak)
 
     def slope(self, at: _At) -> Vector:
         """∂J/∂θ."""
@@ -168,7 +218,12 @@ class _Objective:
         fast = 4 * _BEYOND * max(at.speed - _NEAR, 0.0) / self.allowed
         to_A = 2 * at.P @ Y + fast * at.A
         to_gap = SHAPE * (self.reference - np.linalg.inv(at.gap))
-        slope = np.asarray(self._slope(at.theta, to_A, Y, to_gap), float).ravel()
+        fragile = 2 * _ROBUST * max(at.peak.size - _PEAK, 0.0)
+        to_A = to_A + fragile * at.peak.by_A
+        dual = to_A, Y, to_gap, fragile * at.peak.by_C
+        slope = np.asarray(self._slope(at.theta, *dual), float).ravel()
+        if not self.moves_V:
+            slope[: self.kappas] = 0.0
         slope[self.kappas :] += _DAMPING * at.theta[self.kappas :] + 2 * _BEYOND * at.outside
         return slope
 

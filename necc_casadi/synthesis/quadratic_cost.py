@@ -77,10 +77,6 @@ SHAPE, _PROXIMITY = 1e-3, 1e-2
 _STEP = 0.03
 
 
-#: Iterations of a solve that does not go far: one that succeeds takes far fewer.
-_NEARBY = 100
-
-
 #: How much more a weight of a network costs than one of a quadratic part.
 _NETWORKS_STAY = 1e5
 
@@ -100,7 +96,7 @@ _IPOPT = {
     "ipopt.tol": 1e-7,
     "ipopt.constr_viol_tol": 1e-12,
     "ipopt.acceptable_tol": 1e-6,
-    "ipopt.max_iter": 300,
+    "ipopt.max_iter": 100,  # no solve goes far: one that succeeds takes far fewer
     "ipopt.mumps_pivot_order": 0,
 }
 
@@ -124,6 +120,7 @@ class Begin:
     weights: Vector
     xi_star: Vector
     eta: Vector  # variables of the damping
+    gain: Vector | None = None  # T of ξ(0), (nc, n)
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,6 +135,7 @@ class Responsive:
     before: float  # cost of the linearised loop over LQR's, at the start
     after: float
     at_the_bound: bool  # of ‖A‖
+    gain: Vector | None = None  # T of ξ(0) = ξ* + T(x(0) − x*), (nc, n)
 
 
 def least_cost(
@@ -150,8 +148,8 @@ def least_cost(
     xi_star: Vector,
     damping: Vector,
     seed: int,
+    begin: Begin,
     verbose: bool = False,
-    begin: Begin | None = None,
 ) -> Responsive | None:
     """V and 𝒟 of least cost, from a trained V and its damping; None where the loop has no cost.
 
@@ -171,21 +169,19 @@ def least_cost(
         Of training: what the solution is to stay near.
     seed
         That the weights were drawn with.
+    begin
+        What to begin with, and not to leave by far.
     verbose
         Print IPOPT's iterations.
-    begin
-        What to begin with, and not to leave by far; by default what training ended with.
     """
     loop = LinearLoop(lifting, aim, damping)
-    at = (weights, xi_star) if begin is None else (begin.weights, begin.xi_star)
-    small = lifting.jets_at(*at)
-    eta = np.zeros(loop.eta.numel()) if begin is None else begin.eta
-    first = (at[0] - lifting.tau) / lifting.sigma
+    small, eta = lifting.jets_at(begin.weights, begin.xi_star), begin.eta
+    first = (begin.weights - lifting.tau) / lifting.sigma
     P = loop.cost_matrix(small, eta)
     if P is None:
         return None
     w_hat = (weights - lifting.tau) / lifting.sigma
-    step = None if begin is None else (eta, first)
+    step = eta, first
     nlp = _Nlp(lifting, program, loop, w_hat, xi_star, kappa_min, verbose, step)
     began = time.perf_counter()
     solution, objective = nlp.solve(small, eta, _upper_factor(P), first)
@@ -241,6 +237,9 @@ class LinearLoop:
         scale, inverse = ca.DM(self.size), ca.DM(1 / self.size)
         self.A = ca.diag(inverse) @ A @ ca.diag(scale)
         self.C = input_slope @ ca.diag(scale)
+        at = np.concatenate([lifting.x_star, lifting.guess])
+        self.B = np.zeros((len(self.size), m))
+        self.B[:n] = np.asarray(terms.G(at[:n]), float) / self.size[:n, None]
         Q = np.zeros((len(self.size), len(self.size)))
         Q[:n, :n] = aim.Q * np.outer(self.size[:n], self.size[:n])
         self.W = ca.SX(ca.DM(Q)) + self.C.T @ ca.DM(aim.R) @ self.C
@@ -277,6 +276,11 @@ class LinearLoop:
         Z = (1 - _PUSHED) * along @ self.starts @ along.T
         Z[: self.n, : self.n] += _PUSHED * self.starts
         return np.asarray(Z / self.aim.lqr_cost, float)
+
+    def gain(self, P: Vector) -> Vector:
+        """T that is best for P, (nc, n)."""
+        n = self.n
+        return start_gain(P, n) * self.size[n:, None] / self.size[:n]
 
     def relative(self, P: Vector) -> float:
         """tr(P Z₀) over LQR's."""
@@ -345,7 +349,7 @@ class _Nlp:
         xi_star: Vector,
         kappa_min: float,
         verbose: bool,
-        step: tuple[Vector, Vector] | None,
+        step: tuple[Vector, Vector],
     ) -> None:
         self.lifting, self.program, self.loop = lifting, program, loop
         size = len(loop.size)
@@ -362,17 +366,15 @@ class _Nlp:
         nc = lifting.terms.nc
         away = ca.sumsqr((s[:nc] - ca.DM(xi_star)) / ca.DM(loop.size[-nc:]))
         objective = objective + (_PROXIMITY * (moved + away) + _DAMPING * ca.sumsqr(eta)) / 2
-        if step is not None:  # not so far that A becomes unstable
-            far = ca.sumsqr(eta - ca.DM(step[0]))
-            far += ca.dot(ca.DM(self._weight_cost()), (w - ca.DM(step[1])) ** 2)
-            objective = objective + _STEP * far / 2
+        far = ca.sumsqr(eta - ca.DM(step[0]))
+        far += ca.dot(ca.DM(self._weight_cost()), (w - ca.DM(step[1])) ** 2)
+        objective = objective + _STEP * far / 2  # not so far that A becomes unstable
         g = ca.vertcat(lifting.residuals(weights, s), equal, speed)
         self.upper = np.zeros(g.numel())
         self.lower = np.zeros(g.numel())
         self.lower[-1] = -np.inf
         self.bounds = self._bounds(kappa_min)
         options = _IPOPT | ({"ipopt.print_level": 5} if verbose else {})
-        options |= {} if step is None else {"ipopt.max_iter": _NEARBY}
         problem = {"x": ca.vertcat(s, e, eta, p, w), "f": objective, "g": g}
         self.solver = ca.nlpsol("least_cost", "ipopt", problem, options)
 

@@ -110,8 +110,6 @@ class LeastCost:
             reachable = max(0.0, -unmoved.real)
             return replace(self.at(_AS_FAST * reachable, price), unmoved=unmoved)
         first = self._descended(price)
-        if first is not None and first.after >= first.before and rate == 0:
-            first = None
         now = self.begin(first)
         if rate == 0 or self._rate(now) >= rate:
             return Reached(first)
@@ -120,7 +118,7 @@ class LeastCost:
     def begin(self, found: Responsive | None) -> Begin:
         """A solution, or what training ended with, as a place to begin at."""
         if found is not None:
-            return Begin(found.weights, found.xi_star, found.eta)
+            return Begin(found.weights, found.xi_star, found.eta, found.gain)
         m = self.plan.terms.m
         eta = np.zeros(2 * m + 2 * m * (2 * m - 1))
         return Begin(self.solution.weights, self.solution.xi_star, eta)
@@ -226,12 +224,11 @@ class LeastCost:
             self.solution.xi_star,
             self.damping,
             self.solution.starts[-1].seed,
+            moves_V=not self.options.damping_alone,
         )
         return None if found is None or found.start.loss > SOLVED else found
 
-    def _solved(
-        self, rate: float, price: float, begin: Begin, wanted: float
-    ) -> Responsive | None:
+    def _solved(self, rate: float, price: float, begin: Begin, wanted: float) -> Responsive | None:
         """One solve on the way to a rate; None: it fell short."""
         aim = self._aim(rate, price, wanted)
         if aim is None or self.program is None:
@@ -246,8 +243,8 @@ class LeastCost:
             self.solution.xi_star,
             self.damping,
             self.solution.starts[-1].seed,
+            begin,
             self.options.verbose,
-            begin=begin,
         )
         return None if found is None or found.start.loss > SOLVED else found
 

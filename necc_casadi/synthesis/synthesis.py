@@ -179,7 +179,10 @@ class _Finish:
             learned = casimir_residual(
                 plan.terms, plan.form, weights, plan.natural, z_star, options.seed
             )
+        gain = self._gain(found)
         made = Design(
+            initial_xi="target" if gain is None else "linear",
+            initial_gain=gain,
             loop=self.loop,
             casimirs=plan.in_model,
             x_star=tuple(self.x_star[s] for s in self.loop.plant.x),
@@ -200,3 +203,10 @@ class _Finish:
             learned=learned,
         )
         return replace(Design.from_text(made.text), starts=starts)
+
+    def _gain(self, found: Responsive | None) -> Vector | None:
+        """T of ξ(0) where it was found on responses, in the units of the model, (nc, n)."""
+        if found is None or found.gain is None or found.start.mode != "polished":
+            return None
+        state, n = self.plan.units.state, self.plan.terms.n
+        return np.asarray(found.gain * state[n:, None] / state[:n], float)

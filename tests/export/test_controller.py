@@ -165,7 +165,9 @@ def test_xi_starts_in_c_where_the_design_says(loop, word):
     d = dataclasses.replace(d, initial_xi=word, initial_gain=gain)
     stored = Design.from_text(d.text)
     assert stored.initial_xi == word
-    assert np.array_equal(stored.initial_gain, gain) if gain is not None else not stored.initial_gain
+    assert (
+        np.array_equal(stored.initial_gain, gain) if gain is not None else not stored.initial_gain
+    )
     compiled = compile_controller(d, flags=STRICT)
     rng = np.random.default_rng(3)
     for _ in range(10):
