@@ -49,8 +49,8 @@ Shape = Literal["none", "regulariser", "level"]
 Mode = Literal["hard", "shaped", "cost", "polished", "soft"]
 
 
-#: Where ξ starts: at ξ*, or at the minimum of V(x(0), ·).
-InitialXi = Literal["target", "minimum"]
+#: Where ξ starts: at ξ*, at ξ* + T(x(0) − x*), or at the minimum of V(x(0), ·).
+InitialXi = Literal["target", "linear", "minimum"]
 
 
 #: What keeps a response from what was asked: a mode of the plant that no input moves, the peak of

@@ -3,7 +3,8 @@
 1. *whole space*: quadratic parts of least stiffness for which V has one critical point, then the
    least quadratic cost with no less stiffness;
 2. *least cost*: the least quadratic cost alone;
-3. *default*: neither.
+3. *damping alone*: where that gives up region, the same with V as it is by default;
+4. *default*: neither.
 
 Where it is asked for, the one that is kept is improved on responses; that stays out where it gives
 up anything that is proved. A candidate is made only while one before it may be beaten. Effort is
@@ -170,7 +171,17 @@ def _chosen(maker: _Maker) -> _Chosen:
     least = _least_cost(maker)
     if least is not None and not _is_passed(_cannot_win(least, usual), least, passed):
         made.insert(-1, maker.proved(least))
+        if gives_up(made[-2], usual, "the default") is not None:
+            made[-1:-1] = _damping_alone(maker, usual, passed)
     return _decided(made, passed)
+
+
+def _damping_alone(maker: _Maker, usual: Judged, passed: list[Passed]) -> list[Judged]:
+    """The default's V, so its region, with the damping of least cost; none where it cannot win."""
+    trial = _least_cost(maker, damping_alone=True)
+    if trial is None or _is_passed(_cannot_win(trial, usual), trial, passed):
+        return []
+    return [maker.proved(trial)]
 
 
 def _beside_the_whole_space(
@@ -320,11 +331,12 @@ def _whole_space(maker: _Maker) -> Trial | None:
     return maker.made("whole space", options)
 
 
-def _least_cost(maker: _Maker) -> Trial | None:
+def _least_cost(maker: _Maker, damping_alone: bool = False) -> Trial | None:
     """The candidate of least cost; None where nothing was found that costs less."""
     if not _takes_cost(maker):
         return None
-    trial = maker.made("least cost", replace(maker.options, least_cost=True))
+    options = replace(maker.options, least_cost=True, damping_alone=damping_alone)
+    trial = maker.made("damping alone" if damping_alone else "least cost", options)
     found = any(start.mode == "cost" for start in trial.design.starts)
     return trial if found else None
 

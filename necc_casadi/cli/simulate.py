@@ -81,7 +81,7 @@ def _simulate(out: Path, **options: Any) -> int:
                 f"Give one for each of {', '.join(states)}.",
             )
     x0 = options["x0"] or tuple((made.z_star + made.domain.hi)[:n] / 2)
-    xi0 = options["xi0"] or tuple(made.xi_star)
+    xi0 = options["xi0"] or None
     response = simulate(made, x0, xi0, time=options["horizon"], points=options["points"])
     text = response.csv(made.loop.states)
     if options["csv"] is not None and str(options["csv"]) != "-":

@@ -106,13 +106,16 @@ class Design(Parts):
     def xi_at_start(self, x0: npt.ArrayLike) -> Vector:
         """ξ(0) of this design for a measured plant state (n,), (nc,); ``necc_start`` in C.
 
-        With "target" the controller keeps at first what it keeps at z*: ξ*, or ξ* + γ(x0) − γ(x*).
+        With "target" the controller keeps at first what it keeps at z*, with "linear" T(x0 − x*) on
+        top: ξ is γ(x0) more, which is 0 in the published loop.
         """
-        x0 = np.asarray(x0, float)
+        x0, n = np.asarray(x0, float), self.loop.plant.n
         if self.initial_xi == "target":
             return self.stored_star + self.lyapunov.gamma(x0)
-        natural, n = self.natural, self.loop.plant.n
-        x = x0 / self.units.state[:n]
+        if self.initial_xi == "linear" and self.initial_gain is not None:
+            kept = self.stored_star + self.initial_gain @ (x0 - self.z_star[:n])
+            return np.asarray(kept + self.lyapunov.gamma(x0), float)
+        natural, x = self.natural, x0 / self.units.state[:n]
         return least_over_xi(natural.lyapunov, natural, x)[0] * self.units.state[n:]
 
     @cached_property

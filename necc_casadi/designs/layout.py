@@ -122,7 +122,7 @@ def to_dict(design: Parts) -> dict[str, Any]:
         "a": float(design.a).hex(),
         "a_requested": float(design.a_requested).hex(),
         "xi_star": _hex(design.xi_star),
-        **({} if design.initial_xi == "target" else {"initial_xi": design.initial_xi}),
+        **_start_text(design),
         "D": _hex(design.D),
         "Dc": _hex(design.Dc),
         **_coupling_text(design.damping, design.loop.plant.m),
@@ -155,6 +155,15 @@ def _controller_text(loop: ClosedLoop, text: Callable[[Any], Any]) -> dict[str, 
     if isinstance(loop, ShapedLoop):
         return {"gamma": text(loop.shaping), "alpha": text(loop.alpha)}
     return {key: text(getattr(loop.controller, key)) for key in ("Jc", "Rc", "Gc")}
+
+
+def _start_text(design: Parts) -> dict[str, Any]:
+    """Where ξ starts, unless it is at ξ*."""
+    gain = design.initial_gain
+    return {
+        **({} if design.initial_xi == "target" else {"initial_xi": design.initial_xi}),
+        **({} if gain is None else {"initial_gain": _hex(gain)}),
+    }
 
 
 def _coupling_text(damping: Vector, m: int) -> dict[str, Any]:
@@ -209,6 +218,8 @@ def check_whole(design: Parts, data: Mapping[str, Any]) -> None:
         wanted = ((n + nc,), (m,), (), (), (r,))
         for name, shape in zip(_SIZES, wanted, strict=True):
             shapes[f"{label}: {name}"] = (np.asarray(getattr(group, name)), shape)
+    if design.initial_gain is not None:
+        shapes["initial_gain"] = (design.initial_gain, (nc, n))
     for name, (values, shape) in shapes.items():
         if np.shape(values) != shape or not np.all(np.isfinite(values)):
             raise ValueError(f"{name} must hold finite numbers of shape {shape}")
@@ -220,6 +231,8 @@ def check_whole(design: Parts, data: Mapping[str, Any]) -> None:
             raise ValueError(f"units must be powers of two: {name}")
     if design.initial_xi not in get_args(InitialXi):
         raise ValueError(f"no such ξ(0): {design.initial_xi!r}")
+    if (design.initial_gain is not None) != (design.initial_xi == "linear"):
+        raise ValueError("a gain of ξ(0) belongs to a linear one, and to no other")
     if not dissipates(design.damping):
         raise ValueError("the symmetric part of the damping must be positive definite")
     inputs = [form.hc.inputs, form.k.inputs, *[beta.inputs for beta in form.betas]]
@@ -318,6 +331,7 @@ def from_dict(data: Mapping[str, Any]) -> Parts:
         weights=_unhex(data["weights"]),
         xi_star=_unhex(data["xi_star"]),
         initial_xi=data.get("initial_xi", "target"),
+        initial_gain=_unhex(data["initial_gain"]) if "initial_gain" in data else None,
         damping=_damping(data),
         a=float.fromhex(data["a"]),
         a_requested=float.fromhex(data["a_requested"]),

@@ -111,9 +111,11 @@ def natural_parts(parts: Parts) -> Parts:
     units, plant = parts.units, parts.loop.plant
     state = exactly(units.state)
     casimirs = rescaled_casimirs(parts.casimirs, parts.loop, units)
-    curvature = parts.curvature
+    curvature, gain = parts.curvature, parts.initial_gain
+    relative = units.state[: plant.n] / units.state[plant.n :, None]
     return replace(
         parts,
+        initial_gain=None if gain is None else gain * relative,
         loop=rescaled_loop(parts.loop, units),
         casimirs=casimirs,
         x_star=tuple(v / s for v, s in zip(parts.x_star, state[: plant.n], strict=True)),

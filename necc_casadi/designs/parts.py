@@ -48,6 +48,7 @@ class Parts:
     seed: int
     starts: tuple[Start, ...] = ()
     initial_xi: InitialXi = "target"  # where ξ starts
+    initial_gain: Vector | None = None  # T, (nc, n), where it starts at ξ* + T(x(0) − x*)
     learned: Residual | None = None  # of a learned Casimir; None: Casimirs in closed form
     versions: Mapping[str, str] = field(default_factory=_package_versions)
     sizes: Sizes = _OF_THE_MODEL  # natural sizes at the target; by default the model's units

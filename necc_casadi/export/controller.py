@@ -20,7 +20,7 @@ from necc_casadi.export.templating import fill, indent
 __all__ = ["controller"]
 
 
-#: Body of ``necc_start``.
+#: Body of ``necc_start`` where ξ does not start along with x(0).
 _START = {
     "target": "(void)x0;\nnecc_init(state);\nreturn NECC_OK;",
     "minimum": "return necc_init_at(state, x0);",
@@ -50,7 +50,7 @@ def controller(source: Source) -> str:
         saturate="saturate(u)" if saturation else "NECC_OK",
         xi_star=real.literals(source.design.stored_star),
         init_at=_init_at(source),
-        start=indent(_START[source.design.initial_xi]),
+        start=indent(_start(source)),
         margin=margin_code(source),
     )
     return source.named(text)
@@ -154,6 +154,15 @@ def _saturation(source: Source) -> str:
         return ""
     low, high = (source.number.literals(side) for side in zip(*limits, strict=True))
     return fill("saturation.c", low=low, high=high)
+
+
+def _start(source: Source) -> str:
+    """Body of ``necc_start``."""
+    gain, real = source.design.initial_gain, source.number
+    if gain is None:
+        return _START[source.design.initial_xi]
+    x_star = real.literals(source.design.z_star[: source.n])
+    return fill("start_linear.c", x_star=x_star, gain=real.literals(gain.ravel()))
 
 
 def _init_at(source: Source) -> str:

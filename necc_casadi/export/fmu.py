@@ -57,11 +57,14 @@ def export_fmu(
     """
     source = Source(design, real, sample_time, integrator, certificate, prefix)
     guid = f"{{{design.hash[:32]}}}"
+    linear = design.initial_xi == "linear"
     wrapper = fill(
         "fmu.c",
         guid=guid,
         x_star=source.number.literals(design.z_star[: source.n]),
         start_at_minimum=int(design.initial_xi == "minimum"),
+        otherwise="as necc_start has it" if linear else "at the equilibrium",
+        start_otherwise="necc_start(&self->state, self->x)" if linear else "NECC_OK",
     )
     texts = {"necc.h": header(source), "necc.c": controller(source), "fmu.c": source.named(wrapper)}
     path = Path(path)
@@ -169,7 +172,7 @@ def _variables(root: ET.Element, source: Source, units: Sequence[str]) -> None:
 
 
 def _structure(root: ET.Element, source: Source) -> None:
-    """U and the margin depend on x; ξ and the flags only when ξ starts at the minimum."""
+    """U and the margin depend on x; ξ and the flags only at the start."""
     n, m, nc = source.n, source.m, source.nc
     margin = {n + m + nc + 1} if has_margin(source) else set()
     structure = ET.SubElement(root, "ModelStructure")

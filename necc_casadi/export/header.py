@@ -37,6 +37,8 @@ _LAWS = {
 #: What ``necc_start`` does.
 _START = {
     "target": "as necc_init; returns NECC_OK",
+    "linear": "as necc_init, and T (x0 - x at the target) on top;\n"
+    " * not finite x0: as necc_init, and NECC_REJECTED",
     "minimum": "as necc_init_at",
 }
 

@@ -38,6 +38,14 @@ _UNDAMPED = 1e-3
 _POLE = 1e-6
 
 
+#: Halvings of an interval at most: next to a pole a sign changes within rounding.
+_REFINED = 1000
+
+
+#: A loop gain beyond this is that of an integrator.
+_INFINITE = 1e12
+
+
 _Complex = npt.NDArray[np.complex128]
 
 
@@ -133,7 +141,8 @@ def _of_one_input(A: Vector, B: Vector, C: Vector, w: Vector) -> tuple[float, fl
         phase = min(phase, abs(angle))
         delay = min(delay, (angle if angle > 0 else angle + 2 * np.pi) / at)
     crossings = [L(at) for at in _zeros(lambda v: L(v).imag, w, sampled.imag)]
-    real = [value.real for value in crossings if abs(value.imag) < _POLE * abs(value)]
+    near = [v for v in crossings if abs(v.imag) < _POLE * abs(v) < _POLE * _INFINITE]
+    real = [value.real for value in near]
     gains = [-1 / value for value in [*real, *_at_rest(A, B, C)] if value < 0]
     up = min((g for g in gains if g > 1), default=np.inf)
     down = max((g for g in gains if g < 1), default=0.0)
@@ -154,7 +163,7 @@ def _zeros(f: Callable[[float], float], w: Vector, values: Vector) -> list[float
     from scipy.optimize import brentq  # slow to import, and few runs need it
 
     return [
-        float(brentq(f, w[k], w[k + 1], xtol=1e-12 * w[k], rtol=1e-13))
+        float(brentq(f, w[k], w[k + 1], xtol=1e-12 * w[k], rtol=1e-13, maxiter=_REFINED))
         for k in np.flatnonzero(values[:-1] * values[1:] < 0)
     ]
 

@@ -74,6 +74,7 @@ def _design(design: Design, measures: Measures, certificate: Certificate | None)
     return {
         "xi_star": design.xi_star.tolist(),
         "initial_xi": design.initial_xi,
+        "initial_gain": None if design.initial_gain is None else design.initial_gain.tolist(),
         "a": design.a,
         "a_requested": design.a_requested,
         "loss": measures.loss,

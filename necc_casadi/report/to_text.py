@@ -43,6 +43,14 @@ _PLAIN = 6
 _TIE = "\N{NO-BREAK SPACE}"
 
 
+#: Where ξ starts, in words.
+_BEGINS = {
+    "target": "ξ*",
+    "linear": "ξ* + T(x(0) − x*)",
+    "minimum": "the minimum of V(x(0), ·)",
+}
+
+
 #: Claims that no exit code rests on.
 _OPTIONAL_CLAIMS = ("global", "input_limits", "clipping")
 
@@ -217,7 +225,7 @@ def _design_rows(
     shown = zip(design.z_bar[:_MANY], _NOTHING * design.sizes.state, strict=False)
     z_bar = ", ".join(f"{v:.6g}" if abs(v) > nothing else "0" for v, nothing in shown)
     z_bar += ", …" if len(design.z_bar) > _MANY else ""
-    begins = "ξ*" if design.initial_xi == "target" else "the minimum of V(x(0), ·)"
+    begins = _BEGINS[design.initial_xi]
     return [
         (
             "design",

@@ -53,6 +53,7 @@ class Options:
     D: Vector | None = None  # m × m
     Dc: Vector | None = None  # m × m
     least_cost: bool = False  # least quadratic cost of the linearised loop, damping included
+    damping_alone: bool = False  # for the least cost the damping moves, V stays as trained
     rate: float | None = None  # 1/s that every mode is to exceed; with the least cost
     peak_u: Vector | None = None  # (m,) largest |u| from random starts, with the least cost
     state_cost: Vector | None = None  # n × n, of that cost; None: Bryson's rule

@@ -112,7 +112,7 @@ def polished(program: LeastCost, found: Responsive | None) -> Responsive | None:
     search = _Search(program, program.begin(found))
     if not search.may_follow:
         return None
-    first = search.at(search.theta)
+    first = search.first()
     path, trust = [first], _TRUST
     while len(path) <= _STEPS:
         better, trust = search.step(path[-1], trust)
@@ -136,7 +136,7 @@ class _Search:
             program.lifting, kappa_min, begin.weights, begin.xi_star, program.damping
         )
         self.z_star = np.concatenate([plan.x, begin.xi_star])
-        self.theta = self.moving.first(begin.eta)
+        self.theta = self.moving.first(begin.eta, begin.gain)
         self.stays = self._stays()
         theta = ca.MX.sym("theta", self.moving.size)
         g, N = self.moving.shape(theta)
@@ -158,6 +158,7 @@ class _Search:
             [
                 np.full(len(moving.affine), _PROXIMITY * held / size),
                 np.full(kappas, _PROXIMITY),
+                np.full(int(np.prod(moving.gain_shape)), _PROXIMITY),
                 np.full(eta, _DAMPING),
             ]
         )
@@ -216,6 +217,16 @@ class _Search:
         optimal = np.array([problem.cost(start) for start in rollouts.starts])
         return np.asarray(np.fmin(own, optimal), float)
 
+    def first(self) -> _At:
+        """Where the steps begin, ξ(0) at ξ* or along with x(0), whichever costs less."""
+        at_target = self.theta.copy()
+        at_target[self.moving.gain_at] = 0.0
+        along, plain = self.at(self.theta), self.at(at_target)
+        if plain.value <= along.value:
+            self.theta = at_target
+            return self.at(at_target)
+        return along
+
     def at(self, theta: Vector) -> _At:
         """The objective; ∞ where V has too little curvature, or the loop is too fast."""
         rollouts, gap = self.rollouts, np.asarray(self.gap(theta), float)
@@ -261,7 +272,7 @@ class _Search:
 
     def _within(self, theta: Vector) -> Vector:
         """Θ with η in its bounds."""
-        low, high = damping_bounds(self.program.plan.terms.m)
+        low, high = damping_bounds(len(self.program.damping))
         theta = theta.copy()
         theta[self.moving.eta_at] = np.clip(theta[self.moving.eta_at], low, high)
         return theta
@@ -289,4 +300,5 @@ class _Search:
             before=float(first.ratios.mean()),
             after=float(last.ratios.mean()),
             at_the_bound=False,
+            gain=moving.gain(last.theta),
         )

@@ -10,7 +10,10 @@ so that xᵀPx is what a response costs near the target. N depends on the weight
 
     min  tr(P Z₀)/tr(P_LQR Σ) + shape + proximity,   ‖A‖_F ≤ √N ω,
 
-ω a few times LQR's fastest mode, Z₀ the mean of z zᵀ over starts of the domain with ξ(0) = ξ*.
+ω a few times LQR's fastest mode, Z₀ the mean of z zᵀ over starts of the domain. Most of them are
+known when the controller starts, and ξ(0) = ξ* + T(x(0) − x*) with the T of least cost; a push that
+comes later finds ξ at ξ*, whatever T is (docs/theory.md, Controller state at the start).
+
 With a rate α, A + αI stands in place of A in the Lyapunov equation: it has a solution P ⪰ 0 only
 where every mode decays faster than α, and the cost is that of responses times exp(αt). LQR's cost
 and modes are those of the plant with the same shift.
@@ -37,22 +40,29 @@ from necc_casadi.designs.outcome import Start
 from necc_casadi.interrupts import interruptible
 from necc_casadi.lyapunov.damping import dissipates
 from necc_casadi.lyapunov.networks import Network
+from necc_casadi.performance.initial_xi import start_gain
 from necc_casadi.synthesis.lifting import Lifting
 from necc_casadi.synthesis.programs import Program
 
 __all__ = [
     "Begin",
+    "LinearLoop",
     "LinearQuadratic",
     "Responsive",
     "coupled_damping",
     "damping_bounds",
     "damping_variables",
     "least_cost",
+    "readable_damping",
 ]
 
 
 #: Multiples of LQR's fastest mode that the loop may have.
-_FASTEST = 6.0
+FASTEST = 6.0
+
+
+#: Share of the starts that are pushes, which ξ does not follow.
+_PUSHED = 0.3
 
 
 #: A norm above this share of the bound lies at it.
@@ -60,15 +70,11 @@ _NEAR_THE_BOUND = 0.97
 
 
 #: Weight of the shape of V, and of staying where training ended.
-_SHAPE, _PROXIMITY = 1e-3, 1e-2
+SHAPE, _PROXIMITY = 1e-3, 1e-2
 
 
 #: Weight of a step away from where a solve begins.
 _STEP = 0.03
-
-
-#: Iterations of a solve that does not go far: one that succeeds takes far fewer.
-_NEARBY = 100
 
 
 #: How much more a weight of a network costs than one of a quadratic part.
@@ -90,7 +96,7 @@ _IPOPT = {
     "ipopt.tol": 1e-7,
     "ipopt.constr_viol_tol": 1e-12,
     "ipopt.acceptable_tol": 1e-6,
-    "ipopt.max_iter": 300,
+    "ipopt.max_iter": 100,  # no solve goes far: one that succeeds takes far fewer
     "ipopt.mumps_pivot_order": 0,
 }
 
@@ -114,6 +120,7 @@ class Begin:
     weights: Vector
     xi_star: Vector
     eta: Vector  # variables of the damping
+    gain: Vector | None = None  # T of ξ(0), (nc, n)
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,6 +135,7 @@ class Responsive:
     before: float  # cost of the linearised loop over LQR's, at the start
     after: float
     at_the_bound: bool  # of ‖A‖
+    gain: Vector | None = None  # T of ξ(0) = ξ* + T(x(0) − x*), (nc, n)
 
 
 def least_cost(
@@ -140,8 +148,8 @@ def least_cost(
     xi_star: Vector,
     damping: Vector,
     seed: int,
+    begin: Begin,
     verbose: bool = False,
-    begin: Begin | None = None,
 ) -> Responsive | None:
     """V and 𝒟 of least cost, from a trained V and its damping; None where the loop has no cost.
 
@@ -161,29 +169,26 @@ def least_cost(
         Of training: what the solution is to stay near.
     seed
         That the weights were drawn with.
+    begin
+        What to begin with, and not to leave by far.
     verbose
         Print IPOPT's iterations.
-    begin
-        What to begin with, and not to leave by far; by default what training ended with.
     """
-    loop = _Loop(lifting, aim, damping)
-    at = (weights, xi_star) if begin is None else (begin.weights, begin.xi_star)
-    small = lifting.jets_at(*at)
-    eta = np.zeros(loop.eta.numel()) if begin is None else begin.eta
-    first = (at[0] - lifting.tau) / lifting.sigma
+    loop = LinearLoop(lifting, aim, damping)
+    small, eta = lifting.jets_at(begin.weights, begin.xi_star), begin.eta
+    first = (begin.weights - lifting.tau) / lifting.sigma
     P = loop.cost_matrix(small, eta)
     if P is None:
         return None
     w_hat = (weights - lifting.tau) / lifting.sigma
-    step = None if begin is None else (eta, first)
+    step = eta, first
     nlp = _Nlp(lifting, program, loop, w_hat, xi_star, kappa_min, verbose, step)
     began = time.perf_counter()
-    L = np.asarray(np.linalg.cholesky(P), float)
-    solution, objective = nlp.solve(small, eta, L, first)
+    solution, objective = nlp.solve(small, eta, _upper_factor(P), first)
     seconds = time.perf_counter() - began
     found = lifting.sigma * solution.w_hat + lifting.tau
     xi = solution.small[: lifting.terms.nc]
-    made = _readable(np.asarray(loop.damping_of(solution.eta), float))
+    made = readable_damping(np.asarray(loop.damping_of(solution.eta), float))
     stats = nlp.solver.stats()
     start = Start(
         seed=seed,
@@ -205,16 +210,16 @@ def least_cost(
 def coupled_damping(trained: Vector, eta: Vector) -> Vector:
     """𝒟 of its variables η beside the damping of training."""
     symbols, D = damping_variables(trained)
-    return _readable(np.asarray(ca.Function("damping", [symbols], [D])(eta), float))
+    return readable_damping(np.asarray(ca.Function("damping", [symbols], [D])(eta), float))
 
 
-def _readable(damping: Vector) -> Vector:
+def readable_damping(damping: Vector) -> Vector:
     """Three digits of each entry, where that still dissipates."""
     rounded = np.array([[float(f"{v:.3g}") for v in row] for row in damping])
     return rounded if dissipates(rounded) else damping
 
 
-class _Loop:
+class LinearLoop:
     """A, C_u and 𝒟 in the lifted variables and those of the damping; states in their sizes."""
 
     def __init__(self, lifting: Lifting, aim: LinearQuadratic, damping: Vector) -> None:
@@ -228,8 +233,15 @@ class _Loop:
         A = terms.M(z) @ lifting.N - ports @ D @ seen
         input_slope = _input_slope(lifting, -D[:m, :] @ seen)
         scale, inverse = ca.DM(self.size), ca.DM(1 / self.size)
-        self.A = ca.diag(inverse) @ A @ ca.diag(scale)
-        self.C = input_slope @ ca.diag(scale)
+        # in what the controller keeps, s = ξ − γ(x)
+        carried = np.asarray(terms.slopes(lifting.x_star), float).T * self.size[:n]
+        shift = np.eye(len(self.size))
+        shift[n:, :n] = carried / self.size[n:, None]
+        back = 2 * np.eye(len(shift)) - shift
+        self.A = ca.DM(back) @ ca.diag(inverse) @ A @ ca.diag(scale) @ ca.DM(shift)
+        self.C = input_slope @ ca.diag(scale) @ ca.DM(shift)
+        self.B = np.zeros((len(self.size), m))
+        self.B[:n] = np.asarray(terms.directions(lifting.x_star), float) / self.size[:n, None]
         Q = np.zeros((len(self.size), len(self.size)))
         Q[:n, :n] = aim.Q * np.outer(self.size[:n], self.size[:n])
         self.W = ca.SX(ca.DM(Q)) + self.C.T @ ca.DM(aim.R) @ self.C
@@ -239,7 +251,10 @@ class _Loop:
 
     def cost_matrix(self, small: Vector, eta: Vector) -> Vector | None:
         """P of the Lyapunov equation, (N, N); None where the loop does not decay at the rate."""
-        A, W = (np.asarray(v, float) for v in self._matrices.call([small, eta]))
+        return self.cost_of(*(np.asarray(v, float) for v in self._matrices.call([small, eta])))
+
+    def cost_of(self, A: Vector, W: Vector) -> Vector | None:
+        """The same of a loop A whose states and inputs cost W."""
         A = A + self.aim.rate * np.eye(len(A))
         if not np.isfinite(A).all() or np.linalg.eigvals(A).real.max() >= 0:
             return None
@@ -254,12 +269,24 @@ class _Loop:
     def near_the_bound(self, small: Vector, eta: Vector) -> bool:
         """Whether ‖A‖ is all but as large as allowed."""
         A = np.asarray(self._matrices.call([small, eta])[0], float)
-        allowed = np.sqrt(len(A)) * _FASTEST * self.aim.fastest
+        allowed = np.sqrt(len(A)) * FASTEST * self.aim.fastest
         return bool(np.linalg.norm(A) > _NEAR_THE_BOUND * allowed)
+
+    def spread(self, P: Vector) -> Vector:
+        """Z₀ with the T that is best for P, over LQR's cost, (N, N)."""
+        along = np.vstack([np.eye(self.n), start_gain(P, self.n)])
+        Z = (1 - _PUSHED) * along @ self.starts @ along.T
+        Z[: self.n, : self.n] += _PUSHED * self.starts
+        return np.asarray(Z / self.aim.lqr_cost, float)
+
+    def gain(self, P: Vector) -> Vector:
+        """T that is best for P, (nc, n)."""
+        n = self.n
+        return start_gain(P, n) * self.size[n:, None] / self.size[:n]
 
     def relative(self, P: Vector) -> float:
         """tr(P Z₀) over LQR's."""
-        return float(np.sum(P[: self.n, : self.n] * self.starts) / self.aim.lqr_cost)
+        return float(np.sum(P * self.spread(P)))
 
     @property
     def starts(self) -> Vector:
@@ -284,6 +311,11 @@ def _input_slope(lifting: Lifting, injected: ca.SX) -> ca.SX:
     here = ca.vertcat(ca.SX(lifting.x_star), lifting.xi)
     slope, injected = ca.substitute([slope, injected], [z], [here])
     return slope + injected
+
+
+def _upper_factor(P: Vector) -> Vector:
+    """U upper triangular with UUᵀ = P."""
+    return np.asarray(np.linalg.cholesky(P[::-1, ::-1])[::-1, ::-1], float)
 
 
 def damping_bounds(size: int) -> tuple[Vector, Vector]:
@@ -324,16 +356,17 @@ class _Nlp:
         self,
         lifting: Lifting,
         program: Program,
-        loop: _Loop,
+        loop: LinearLoop,
         w_hat: Vector,
         xi_star: Vector,
         kappa_min: float,
         verbose: bool,
-        step: tuple[Vector, Vector] | None,
+        step: tuple[Vector, Vector],
     ) -> None:
         self.lifting, self.program, self.loop = lifting, program, loop
         size = len(loop.size)
-        self.pattern = [(i, j) for i in range(size) for j in range(i + 1)]
+        # upper triangular: what is left of P where ξ is chosen is then a product of its first block
+        self.pattern = [(i, j) for j in range(size) for i in range(j + 1)]
         entries = ca.SX.sym("p", len(self.pattern))
         core = self._core(entries)
         s, e = ca.MX.sym("s", lifting.small.numel()), ca.MX.sym("e", program.extra.numel())
@@ -345,17 +378,15 @@ class _Nlp:
         nc = lifting.terms.nc
         away = ca.sumsqr((s[:nc] - ca.DM(xi_star)) / ca.DM(loop.size[-nc:]))
         objective = objective + (_PROXIMITY * (moved + away) + _DAMPING * ca.sumsqr(eta)) / 2
-        if step is not None:  # not so far that A becomes unstable
-            far = ca.sumsqr(eta - ca.DM(step[0]))
-            far += ca.dot(ca.DM(self._weight_cost()), (w - ca.DM(step[1])) ** 2)
-            objective = objective + _STEP * far / 2
+        far = ca.sumsqr(eta - ca.DM(step[0]))
+        far += ca.dot(ca.DM(self._weight_cost()), (w - ca.DM(step[1])) ** 2)
+        objective = objective + _STEP * far / 2  # not so far that A becomes unstable
         g = ca.vertcat(lifting.residuals(weights, s), equal, speed)
         self.upper = np.zeros(g.numel())
         self.lower = np.zeros(g.numel())
         self.lower[-1] = -np.inf
         self.bounds = self._bounds(kappa_min)
         options = _IPOPT | ({"ipopt.print_level": 5} if verbose else {})
-        options |= {} if step is None else {"ipopt.max_iter": _NEARBY}
         problem = {"x": ca.vertcat(s, e, eta, p, w), "f": objective, "g": g}
         self.solver = ca.nlpsol("least_cost", "ipopt", problem, options)
 
@@ -369,12 +400,14 @@ class _Nlp:
         shifted = loop.A + loop.aim.rate * ca.SX.eye(size)
         balance = shifted.T @ P + P @ shifted + loop.W
         vanish = ca.vertcat(program.equalities, *[balance[i, j] for i, j in self.pattern])
-        cost = ca.dot(P[:n, :n], ca.DM(loop.starts)) / loop.aim.lqr_cost
-        excess = ca.sumsqr(loop.A) / (_FASTEST * loop.aim.fastest) ** 2 - size
+        known, pushed = L[:n, :n], L[:n, n:]
+        paid = known @ known.T + _PUSHED * pushed @ pushed.T
+        cost = ca.dot(paid, ca.DM(loop.starts)) / loop.aim.lqr_cost
+        excess = ca.sumsqr(loop.A) / (FASTEST * loop.aim.fastest) ** 2 - size
         return ca.Function(
             "core",
             [self.lifting.small, program.extra, loop.eta, entries],
-            [cost + _SHAPE * program.objective, vanish, excess],
+            [cost + SHAPE * program.objective, vanish, excess],
         )
 
     def _weight_cost(self) -> Vector:

@@ -13,6 +13,7 @@ from necc_casadi.lyapunov.opened_loop import plant_linearisation
 from necc_casadi.model.cost import QuadraticCost
 from necc_casadi.model.domain import domain_of
 from necc_casadi.performance.lqr import lqr
+from necc_casadi.synthesis.descent import descended
 from necc_casadi.synthesis.lifting import Lifting
 from necc_casadi.synthesis.options import Options
 from necc_casadi.synthesis.plan import Plan
@@ -108,9 +109,7 @@ class LeastCost:
         if unmoved is not None:
             reachable = max(0.0, -unmoved.real)
             return replace(self.at(_AS_FAST * reachable, price), unmoved=unmoved)
-        first = self._solved(0.0, price, None)
-        if first is not None and first.after >= first.before and rate == 0:
-            first = None
+        first = self._descended(price)
         now = self.begin(first)
         if rate == 0 or self._rate(now) >= rate:
             return Reached(first)
@@ -119,7 +118,7 @@ class LeastCost:
     def begin(self, found: Responsive | None) -> Begin:
         """A solution, or what training ended with, as a place to begin at."""
         if found is not None:
-            return Begin(found.weights, found.xi_star, found.eta)
+            return Begin(found.weights, found.xi_star, found.eta, found.gain)
         size = len(self.damping)
         eta = np.zeros(size + size * (size - 1))
         return Begin(self.solution.weights, self.solution.xi_star, eta)
@@ -210,10 +209,26 @@ class LeastCost:
             + np.concatenate([np.log(port), np.zeros(2 * len(below))])
         )
 
-    def _solved(
-        self, rate: float, price: float, begin: Begin | None, wanted: float = 0.0
-    ) -> Responsive | None:
-        """One solve on the way to a rate, from the trained V or elsewhere; None: it fell short."""
+    def _descended(self, price: float) -> Responsive | None:
+        """Quadratic parts and damping of least cost beside the trained networks."""
+        aim = self._aim(0.0, price, 0.0)
+        if aim is None or self.program is None:
+            return None
+        found = descended(
+            self.lifting,
+            aim,
+            self.plan.curvature,
+            self.plan.anchor.kappa_min,
+            self.solution.weights,
+            self.solution.xi_star,
+            self.damping,
+            self.solution.starts[-1].seed,
+            moves_V=not self.options.damping_alone,
+        )
+        return None if found is None or found.start.loss > SOLVED else found
+
+    def _solved(self, rate: float, price: float, begin: Begin, wanted: float) -> Responsive | None:
+        """One solve on the way to a rate; None: it fell short."""
         aim = self._aim(rate, price, wanted)
         if aim is None or self.program is None:
             return None
@@ -227,8 +242,8 @@ class LeastCost:
             self.solution.xi_star,
             self.damping,
             self.solution.starts[-1].seed,
+            begin,
             self.options.verbose,
-            begin=begin,
         )
         return None if found is None or found.start.loss > SOLVED else found
 

@@ -2,10 +2,11 @@
 
 With hidden layers and ξ* as they are, what moves is
 
-    θ = (output layers, log(κ − κ_min), β, η),   ½κ(v − v*)² − βv  the quadratic parts,
+    θ = (output layers, log(κ − κ_min), β, T, η),   ½κ(v − v*)² − βv  the quadratic parts,
 
-v* what a network sees at z*, η the damping (quadratic_cost.py). The classical method of Runge and
-Kutta is differentiated as it stands: with ż = f(z, θ), each of its stages carries
+v* what a network sees at z*, ξ(0) = ξ* + T(x(0) − x*), η the damping (quadratic_cost.py). The
+classical method of Runge and Kutta is differentiated as it stands: with ż = f(z, θ), each of its
+stages carries
 
     Ṡ = ∂f/∂z S + ∂f/∂θ,   S = ∂z/∂θ,
 
@@ -52,10 +53,16 @@ class Moving:
     """θ, and the weights and the damping that it stands for; natural weights ŵ."""
 
     def __init__(
-        self, lifting: Lifting, kappa_min: float, weights: Vector, xi_star: Vector, trained: Vector
+        self,
+        lifting: Lifting,
+        kappa_min: float,
+        weights: Vector,
+        xi_star: Vector,
+        trained: Vector,
+        networks: bool = True,
     ) -> None:
         self.lifting, self.kappa_min = lifting, kappa_min
-        self.xi_star = xi_star
+        self.xi_star, self.trained = xi_star, trained
         self.w0 = (weights - lifting.tau) / lifting.sigma
         bases = lifting.bases.call([lifting.jets_at(weights, xi_star)])
         units = lifting.form.split(lifting.sigma)
@@ -65,7 +72,7 @@ class Moving:
                 raise TypeError("a neural Φ has no quadratic parts")
             d = network.inputs if network.quadratic else 0
             end, last = at + network.size - 2 * d, network.shapes[-1]
-            affine += list(range(end - last[0] * last[1] - last[0], end))
+            affine += list(range(end - last[0] * last[1] - last[0], end)) if networks else []
             kappa += list(range(end, end + d))
             centre += list(range(end + d, end + 2 * d))
             base += list(np.asarray(v, float).ravel()[:d] / unit[network.size - d :][:d])
@@ -76,24 +83,46 @@ class Moving:
         self.base = np.array(base, float)
         self.eta, damping = damping_variables(trained)
         self._damping = ca.Function("damping", [self.eta], [damping])
-        self.size = len(affine) + 2 * len(kappa) + self.eta.numel()
+        self.gain_shape = lifting.terms.nc, lifting.terms.n
+        gains = lifting.terms.nc * lifting.terms.n
+        self.size = len(affine) + 2 * len(kappa) + gains + self.eta.numel()
+        size = lifting.scales.state
+        #: T in the sizes of its states
+        self.gain_unit = size[lifting.terms.n :, None] / size[: lifting.terms.n]
 
-    def first(self, eta: Vector) -> Vector:
-        """θ of the weights and damping at the start, (size,)."""
+    def first(self, eta: Vector, gain: Vector | None = None) -> Vector:
+        """θ of the weights, damping and T (nc, n) at the start, (size,); without T it is 0."""
+        T = np.zeros(self.gain_shape) if gain is None else gain / self.gain_unit
         k, o = self.w0[self.kappa], self.w0[self.centre]
         above = np.log(np.fmax(k - self.kappa_min, _ABOVE * self.kappa_min))
-        return np.concatenate([self.w0[self.affine], above, k * (o - self.base), eta])
+        outer = self.w0[self.affine]
+        return np.concatenate([outer, above, k * (o - self.base), T.ravel(), eta])
 
     def split(self, theta: ca.MX) -> tuple[ca.MX, ca.MX, ca.MX, ca.MX]:
         """(output layers, log(κ − κ_min), β, η)."""
         a, k = len(self.affine), len(self.kappa)
-        return theta[:a], theta[a : a + k], theta[a + k : a + 2 * k], theta[a + 2 * k :]
+        return theta[:a], theta[a : a + k], theta[a + k : a + 2 * k], theta[self.eta_at]
 
     def weights_at(self, theta: Vector) -> Vector:
         """The same as numbers."""
         symbol = ca.MX.sym("theta", self.size)
         found = ca.Function("weights", [symbol], [self.weights(symbol)])(theta)
         return np.asarray(found, float).ravel()
+
+    def gain(self, theta: Vector) -> Vector:
+        """T as numbers, (nc, n)."""
+        return np.asarray(theta[self.gain_at].reshape(self.gain_shape) * self.gain_unit, float)
+
+    @property
+    def gain_at(self) -> slice:
+        """Where T stands in θ."""
+        begin = len(self.affine) + 2 * len(self.kappa)
+        return slice(begin, self.eta_at.start)
+
+    @property
+    def kappa_at(self) -> slice:
+        """Where log(κ − κ_min) stands in θ."""
+        return slice(len(self.affine), len(self.affine) + len(self.kappa))
 
     @property
     def eta_at(self) -> slice:
@@ -191,13 +220,19 @@ class Rollouts:
         by_z = np.asarray(self._one.call([z_star, theta])[1], float)
         return by_z[: self.n + self.nc]
 
-    def _first(self) -> Vector:
-        kept = np.repeat(self.kept_star[None], len(self.starts), axis=0)
-        return np.concatenate([self.starts, kept], axis=1)
+    def _first(self, theta: Vector) -> tuple[Vector, Vector]:
+        """(x(0), s(0)) and its slopes in θ."""
+        moving, away = self.moving, self.starts - self.plant.x_star
+        kept = self.kept_star + away @ moving.gain(theta).T
+        slopes = np.zeros((len(away), self.n + self.nc, theta.size))
+        columns = np.arange(theta.size)[moving.gain_at].reshape(moving.gain_shape)
+        for i in range(self.nc):
+            slopes[:, self.n + i, columns[i]] = away * moving.gain_unit[i]
+        return np.concatenate([self.starts, kept], axis=1), slopes
 
     def costs(self, theta: Vector) -> Vector:
         """What the responses cost, (N,); nan where the method leaves floating point."""
-        z, h, total = self._first(), self.step, 0.0
+        z, h, total = self._first(theta)[0], self.step, 0.0
         size = self.n + self.nc
         parameters = np.repeat(theta[:, None], len(z), axis=1)
 
@@ -218,9 +253,9 @@ class Rollouts:
 
     def sums(self, theta: Vector, weights: Vector) -> Sums:
         """The same with the derivatives of Σ weights · costs."""
-        z, h, size = self._first(), self.step, self.n + self.nc
+        (z, S), h, size = self._first(theta), self.step, self.n + self.nc
         count, p = len(z), theta.size
-        S, total = np.zeros((count, size, p)), np.zeros(count)
+        total = np.zeros(count)
         gradient, curvature = np.zeros(p), np.zeros((p, p))
         parameters = np.repeat(theta[:, None], count, axis=1)
         root = np.sqrt(weights)[:, None, None]

@@ -17,7 +17,7 @@ from necc_casadi.designs.outcome import Start
 from necc_casadi.lyapunov.damping import uncoupled
 from necc_casadi.lyapunov.lyapunov import LyapunovFunction
 from necc_casadi.model.closed_loop import ClosedLoop
-from necc_casadi.performance.initial_xi import with_better_start
+from necc_casadi.performance.initial_xi import with_better_start, with_start
 from necc_casadi.synthesis.asked import Answer, answer
 from necc_casadi.synthesis.damping import choose_damping
 from necc_casadi.synthesis.learned_casimir import casimir_residual
@@ -128,10 +128,10 @@ def _polished(finish: _Finish) -> Responsive | None:
 
 def _started(found: Answer, plan: Plan, options: Options) -> Design:
     """The design with the better ξ(0), where that keeps the peak that was asked for."""
-    made = found.design
+    made, cost = found.design, options.cost(plan.sizes, plan.terms.n)
     if options.initial_xi is not None:
-        return replace(made, initial_xi=options.initial_xi)
-    better = with_better_start(made, options.cost(plan.sizes, plan.terms.n))
+        return with_start(made, cost, options.initial_xi)
+    better = with_better_start(made, cost)
     changed = better.initial_xi != made.initial_xi
     return made if not changed or (found.asked and found.asked.limits is not None) else better
 
@@ -179,7 +179,10 @@ class _Finish:
             learned = casimir_residual(
                 plan.terms, plan.form, weights, plan.natural, z_star, options.seed
             )
+        gain = self._gain(found)
         made = Design(
+            initial_xi="target" if gain is None else "linear",
+            initial_gain=gain,
             loop=self.loop,
             casimirs=plan.in_model,
             x_star=tuple(self.x_star[s] for s in self.loop.plant.x),
@@ -200,3 +203,10 @@ class _Finish:
             learned=learned,
         )
         return replace(Design.from_text(made.text), starts=starts)
+
+    def _gain(self, found: Responsive | None) -> Vector | None:
+        """T of ξ(0) where it was found on responses, in the units of the model, (nc, n)."""
+        if found is None or found.gain is None or found.start.mode != "polished":
+            return None
+        state, n = self.plan.units.state, self.plan.terms.n
+        return np.asarray(found.gain * state[n:, None] / state[:n], float)

@@ -156,11 +156,18 @@ def test_init_at_says_when_there_is_no_minimum_and_refuses_what_is_not_finite():
     assert (flags, list(xi)) == (REJECTED, list(d.xi_star))
 
 
-@pytest.mark.parametrize("word", ["target", "minimum"])
+@pytest.mark.parametrize("word", ["target", "linear", "minimum"])
 @pytest.mark.parametrize("loop", [pendulum_loop(), arm_loop()], ids=["pendulum", "arm"])
 def test_xi_starts_in_c_where_the_design_says(loop, word):
-    d = dataclasses.replace(confining(loop), initial_xi=word)
-    assert Design.from_text(d.text).initial_xi == word
+    d = confining(loop)
+    n, nc = d.loop.plant.n, d.loop.controller.nc
+    gain = np.random.default_rng(2).normal(size=(nc, n)) if word == "linear" else None
+    d = dataclasses.replace(d, initial_xi=word, initial_gain=gain)
+    stored = Design.from_text(d.text)
+    assert stored.initial_xi == word
+    assert (
+        np.array_equal(stored.initial_gain, gain) if gain is not None else not stored.initial_gain
+    )
     compiled = compile_controller(d, flags=STRICT)
     rng = np.random.default_rng(3)
     for _ in range(10):
@@ -169,6 +176,12 @@ def test_xi_starts_in_c_where_the_design_says(loop, word):
         assert flags == 0
         np.testing.assert_allclose(xi, d.xi_at_start(x0), atol=1e-9)
         assert np.array_equal(xi, d.xi_star) == (word == "target")
+        if gain is not None:
+            np.testing.assert_allclose(xi - d.xi_star, gain @ (x0 - d.z_star[:n]), atol=1e-9)
+    for bad in (np.nan, np.inf):
+        xi, flags = compiled.start(np.full(n, bad))
+        assert (flags == REJECTED) == (word != "target")
+        assert np.array_equal(xi, d.xi_star)
 
 
 @pytest.mark.parametrize("limits", [((-0.5, 0.75),), ((float("-inf"), 0.25),)])

@@ -61,7 +61,7 @@ def test_what_settles_elsewhere_is_a_minimum_of_v(default_design):
     at = found.elsewhere[0].at
     assert at["q"] == pytest.approx(5.287, abs=0.02)
     index = found.elsewhere[0].starts[0]
-    end = simulate(default_design, found.starts[index]).z[-1]
+    end = simulate(default_design, found.starts[index], time=60.0).z[-1]
     assert end[0] == pytest.approx(at["q"], abs=0.05)
     assert np.isinf(found.cost[index])
 

@@ -2,7 +2,7 @@
  *
  * Inputs x, outputs u, xi, the margin (see necc.h) and flags. u follows x at once: it is the law at the present x and xi.
  * fmi2DoStep(h) is one necc_step with dt = h. Value references: x, u, xi, margin; Integer 0 is
- * flags; Boolean 0 tells whether xi starts at the minimum of V(x, .) or at the equilibrium.
+ * flags; Boolean 0 tells whether xi starts at the minimum of V(x, .); if not, it starts @otherwise@.
  */
 #include "necc.h"
 
@@ -109,6 +109,8 @@ FUNCTION(fmi2Status, fmi2ExitInitializationMode, fmi2Component c)
     self->flags = NECC_OK;
     if (self->start_at_minimum)
         self->flags = necc_init_at(&self->state, self->x);
+    else
+        self->flags = @start_otherwise@;
     return self->flags == NECC_OK ? fmi2OK : fmi2Warning;
 }
 
