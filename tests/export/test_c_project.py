@@ -61,7 +61,7 @@ def reference(d, steps, dt, x0, xi0, method=heun):
     """The sampled loop by CasADi: u at the sample, x by RK4 with u held, ξ with x held."""
     terms, law = d.lyapunov.terms, d.lyapunov.control_law_function
     x, xi, u = (ca.MX.sym(n, k) for n, k in (("x", terms.n), ("xi", terms.nc), ("u", terms.m)))
-    plant = lambda s: terms.F(s) @ terms.grad_H(s) + terms.G(s) @ u  # noqa: E731
+    plant = lambda s: terms.drift(s) + terms.directions(s) @ u  # noqa: E731
     plant_step = ca.Function("plant_step", [x, u], [rk4(plant, x, dt)])
     xi_step = ca.Function(
         "xi_step", [x, xi], [law(x, xi)[0], method(lambda s: law(x, s)[1], xi, dt)]

@@ -27,8 +27,8 @@ def sampled_step(d, integrator, time, substeps=64):
     controller = reference_step(d, integrator)
 
     def plant(x, u):
-        G = np.asarray(terms.G(x), float)
-        return (np.asarray(terms.F(x) @ terms.grad_H(x), float) + G @ u).ravel()
+        G = np.asarray(terms.directions(x), float)
+        return (np.asarray(terms.drift(x), float) + G @ u).ravel()
 
     def step(z):
         x = z[: terms.n]
