@@ -104,7 +104,8 @@ class Reduced:
     @cached_property
     def landscape(self) -> Landscape:
         """V in floating point."""
-        return Landscape(self.potential.design, self.potential.active, self.kept, self.gone)
+        design, active = self.potential.design, self.potential.active
+        return Landscape(design.lyapunov, design.z_star, active, self.kept, self.gone)
 
     @cached_property
     def inverse_factor(self) -> Vector:
