@@ -18,9 +18,9 @@ from necc_casadi.synthesis.options import Options
 __all__ = ["Judged", "Name", "Trial", "cost_ratio"]
 
 
-#: How a candidate is made: V with one critical point, least cost, neither, or as the options say;
-#: or one of these improved on responses.
-Name = Literal["whole space", "least cost", "default", "as asked", "polished"]
+#: How a candidate is made: V with one critical point, least cost, neither, shaped for a higher
+#: level, or as the options say; or one of these improved on responses.
+Name = Literal["whole space", "least cost", "default", "shaped", "as asked", "polished"]
 
 
 @dataclass(frozen=True, eq=False)
