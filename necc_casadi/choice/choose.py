@@ -105,8 +105,8 @@ def choose(
 ) -> Choice:
     """Make the designs that the plant allows, and keep one.
 
-    Options that say how V is made (`convex`, the regulariser, `least_cost`, a Casimir or Φ of another form)
-    leave nothing to choose: that design is made and judged.
+    Options that say how V is made (`convex`, the regulariser, `least_cost`, a Casimir or Φ of
+    another form) leave nothing to choose: that design is made and judged.
 
     Parameters
     ----------

@@ -33,8 +33,7 @@ def holds(design: Design, certificate: Certificate, z: Vector) -> Truth:
 
 
 def _inside(design: Design, region: Region, z: Vector) -> Truth:
-    kept = [region.active[i] for i in region.kept]
-    over = region.covers(z[:, kept] / design.units.state[kept])
+    over = region.holds(z / design.units.state)
     below: Truth = design.lyapunov.V(z) / design.units.energy <= region.level
     return over & below
 
