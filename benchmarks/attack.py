@@ -81,7 +81,7 @@ def compiled(model: Model, made: Design, folder: Path, clipped: bool) -> ctypes.
     text = LOOP.replace("@plant@", "\n".join(lines)).replace("@clip@", "\n".join(clip))
     (folder / "loop.c").write_text("#include <math.h>\n" + text, encoding="utf-8")
     library = folder / "loop.so"
-    command = ["gcc", "-O2", "-shared", "-fPIC", "-std=c99", "-o", library, "loop.c", "necc.c"]
+    command = ["gcc", "-O3", "-shared", "-fPIC", "-std=c99", "-o", library, "loop.c", "necc.c"]
     subprocess.run([*command, "-lm"], cwd=folder, check=True)
     return ctypes.CDLL(str(library))
 

@@ -32,6 +32,7 @@ __all__ = ["Component", "Components", "sides"]
 #: to split that are tried: cells that tell w from a pass grow in number with both.
 _FIRST_SHARE = {0: 0.999, 1: 0.995, 2: 0.99, 3: 0.98}
 _SHARES = (0.97, 0.95, 0.9, 0.8, 0.5, 0.2, 0.05)
+_TUBE_SHARES = (0.95, 0.8, 0.5, 0.2)
 _SPLITS = 3
 #: How often the box of the search may grow, and by which share of its sides.
 _GROWTHS, _WIDER = 8, 0.5
@@ -42,6 +43,8 @@ _DOUBLINGS = 4
 _Fit = Callable[[Bounds, Base, Search, float], Bounds | None]
 #: The part of the way to the obstacle in which the component must stay off the box's border.
 _INNER = 0.999
+#: What a tube holds, as a multiple of the level.
+_NEXT = 1.05
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,8 +150,11 @@ class Components:
         if not height > 0:
             return None
         obstacle = judged(self.potential, obstacle)
-        for share in (_FIRST_SHARE[len(bounds.reduced.kept)], *_SHARES):
-            room = self.bottom + max(share, _INNER) * height
+        shares = _SHARES if fit is None else _TUBE_SHARES
+        for share in (_FIRST_SHARE[len(bounds.reduced.kept)], *shares):
+            # a tube is convex the better the less it has to hold
+            inner = _INNER if fit is None else min(_INNER, _NEXT * share)
+            room = self.bottom + max(share, inner) * height
             named = obstacle if share >= NEAR_ENOUGH else replace(obstacle, kind="arithmetic")
             level = self.bottom + share * height
             component = self._at(bounds, found, level, room, named, fit)

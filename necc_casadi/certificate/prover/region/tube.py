@@ -85,8 +85,8 @@ def _is_below(reduced: Reduced, F: Vector, box: Interval) -> bool:
     while cells.shape[0]:
         now, later = cells[:_ROWS], cells[_ROWS:]
         tried += now.shape[0]
-        hess = potential.sharp_jet(now).hess if potential.has_sharp_jet else potential.jet(now).hess
-        left = now[np.flatnonzero(~positive_definite(hess[:, gone][:, :, gone] - F))]
+        below = potential.lower_hessian(now)[:, gone][:, :, gone]
+        left = now[np.flatnonzero(~positive_definite(below - F))]
         if tried + 2 * left.shape[0] + later.shape[0] > _MOST:
             return False
         axis = np.argmax((left.hi - left.lo) / size, axis=1)
