@@ -32,7 +32,7 @@ __all__ = ["Component", "Components", "sides"]
 #: to split that are tried: cells that tell w from a pass grow in number with both.
 _FIRST_SHARE = {0: 0.999, 1: 0.995, 2: 0.99, 3: 0.98}
 _SHARES = (0.97, 0.95, 0.9, 0.8, 0.5, 0.2, 0.05)
-_TUBE_SHARES = (0.95, 0.8, 0.5, 0.2)
+_TUBE_SHARES = (0.95, 0.8, 0.5)
 _SPLITS = 3
 #: How often the box of the search may grow, and by which share of its sides.
 _GROWTHS, _WIDER = 8, 0.5
