@@ -6,6 +6,8 @@
 3. *damping alone*: where that gives up region, the same with V as it is by default;
 4. *default*: neither.
 
+Where a level is asked for, *shaped* is kept if it makes something better than the default.
+
 Where it is asked for, the one that is kept is improved on responses; that stays out where it gives
 up anything that is proved. A candidate is made only while one before it may be beaten. Effort is
 counted in iterations and steps, never in seconds: what is kept is a function of the input.
@@ -18,11 +20,13 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 
+import numpy as np
 import sympy as sp
 
 from necc_casadi.arrays import Vector
 from necc_casadi.casimirs.casimirs import Casimirs
 from necc_casadi.certificate.claims.certificate import Certificate
+from necc_casadi.certificate.claims.regions import MOST_KEPT
 from necc_casadi.certificate.prover.certify import certify
 from necc_casadi.choice.decide import NEAR, Passed, decide, gives_up
 from necc_casadi.choice.judged import Judged, Name, Trial, cost_ratio
@@ -32,7 +36,7 @@ from necc_casadi.model.closed_loop import ClosedLoop
 from necc_casadi.performance.other_minima import LowerMinimum, lower_minimum
 from necc_casadi.performance.saturated import lqr_costs, saturated
 from necc_casadi.performance.shares import plant_share, unclipped_share
-from necc_casadi.synthesis.options import Options, check_options
+from necc_casadi.synthesis.options import Level, Options, check_options
 from necc_casadi.synthesis.plan import make_plan, whole_space_stiffness
 from necc_casadi.synthesis.synthesis import answered
 from necc_casadi.verdict.verdict import Verdict
@@ -102,8 +106,8 @@ def choose(
 ) -> Choice:
     """Make the designs that the plant allows, and keep one.
 
-    Options that say how V is made (`convex`, `shape`, `least_cost`, a Casimir or Φ of another form)
-    leave nothing to choose: that design is made and judged.
+    Options that say how V is made (`convex`, the regulariser, `least_cost`, a Casimir or Φ of
+    another form) leave nothing to choose: that design is made and judged.
 
     Parameters
     ----------
@@ -154,6 +158,8 @@ _Chosen = tuple[Judged, tuple[Judged, ...], tuple[Passed, ...]]
 
 def _chosen(maker: _Maker) -> _Chosen:
     """What is kept, the others that were made, and why those are not kept."""
+    if isinstance(maker.options.shaping, Level):
+        return _shaped(maker)
     if not _is_open(maker.verdict, maker.options):
         name: Name = "as asked" if _asks(maker.options) else "default"
         return maker.proved(maker.made(name, maker.options)), (), ()
@@ -182,6 +188,60 @@ def _damping_alone(maker: _Maker, usual: Judged, passed: list[Passed]) -> list[J
     if trial is None or _is_passed(_cannot_win(trial, usual), trial, passed):
         return []
     return [maker.proved(trial)]
+
+
+def _shaped(maker: _Maker) -> _Chosen:
+    """The design that is shaped for a higher level, unless the default is no worse."""
+    trial = maker.made("shaped", maker.options)
+    usual = maker.made("default", replace(maker.options, shape="none"))
+    if np.array_equal(trial.design.weights, usual.design.weights):
+        return maker.proved(usual), (), (Passed("shaped", _nothing_shaped(trial)),)
+    shaped = maker.proved(trial)
+    if shaped.whole and shaped.proved and shaped.arrivals >= usual.arrivals:
+        return shaped, (), (Passed("default", "one critical point of V leaves no obstacle"),)
+    other = maker.proved(usual)
+    why = _no_better_shaped(shaped, other)
+    if why is not None:
+        return other, (shaped,), (Passed("shaped", why),)
+    return shaped, (other,), (Passed("default", _worth_of_shape(shaped, other)),)
+
+
+def _nothing_shaped(trial: Trial) -> str:
+    if any(start.mode == "shaped" for start in trial.design.starts):
+        return "its program found nothing that meets the conditions at z*"
+    return (
+        "V bends in no state that a Casimir contains, or in more of them than the "
+        f"{MOST_KEPT} that a region may keep"
+    )
+
+
+def _no_better_shaped(shaped: Judged, default: Judged) -> str | None:
+    """Why a shaped design is not worth its shape."""
+    if shaped.arrivals < default.arrivals:
+        count = len(default.response.arrived)
+        return f"{shaped.arrivals} of {count} starts arrive with it, not {default.arrivals}"
+    why = _is_less_proved(shaped, default)
+    higher, larger = _rise(shaped, default) > 1, shaped.plant_share > default.plant_share
+    return why if why is not None or higher or larger else "its region is no larger and no higher"
+
+
+def _worth_of_shape(shaped: Judged, default: Judged) -> str:
+    """What the default falls short of."""
+    own, others = (100 * judged.plant_share for judged in (default, shaped))
+    text = f"its region holds {own:.3g} %, not {others:.3g} %, of the plant's states at rest"
+    rise = _rise(shaped, default)
+    return f"{text}, and what ends it is {rise:.3g} times lower" if 1 < rise < np.inf else text
+
+
+def _rise(shaped: Judged, default: Judged) -> float:
+    """By which factor what ends a region is higher above V(z̄); ∞ where nothing ends it."""
+    ends = [judged.certificate.obstacle for judged in (shaped, default)]
+    heights = [np.inf if end is None else end.level_above_minimum for end in ends]
+    proved = [judged.certificate.region is not None or judged.whole for judged in (shaped, default)]
+    own, other = (h if ok else 0.0 for h, ok in zip(heights, proved, strict=True))
+    if own == other:
+        return 1.0
+    return own / other if other > 0 else np.inf
 
 
 def _beside_the_whole_space(

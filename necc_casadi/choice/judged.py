@@ -19,8 +19,10 @@ __all__ = ["Judged", "Name", "Trial", "cost_ratio"]
 
 
 #: How a candidate is made: V with one critical point, least cost, the same with the damping alone,
-#: neither, or as the options say; or one of these improved on responses.
-Name = Literal["whole space", "least cost", "damping alone", "default", "as asked", "polished"]
+#: neither, shaped for a higher level, or as the options say; or one of these improved on responses.
+Name = Literal[
+    "whole space", "least cost", "damping alone", "default", "shaped", "as asked", "polished"
+]
 
 
 @dataclass(frozen=True, eq=False)

@@ -134,9 +134,9 @@ __all__ = ["design_command"]
     type=choice(Shape),
     default="none",
     show_default=True,
-    help="What to ask of V over samples of the domain, beside the conditions at z*. level: the "
-    "largest share of the domain below a level that its boundary is not below. regulariser: "
-    "‖z − z*‖² ≤ γ (V(z) − V(z*)) on average. For Φ = H + Hc + C in the joint form.",
+    help="What to ask of V over the domain, beside the conditions at z*. level: what ends the "
+    "region is raised, where that gains anything. regulariser: ‖z − z*‖² ≤ γ (V(z) − V(z*)) on "
+    "average. For Φ = H + Hc + C in the joint form.",
 )
 @region_option(
     "--gamma",

@@ -33,8 +33,7 @@ def holds(design: Design, certificate: Certificate, z: Vector) -> Truth:
 
 
 def _inside(design: Design, region: Region, z: Vector) -> Truth:
-    kept = [region.active[i] for i in region.kept]
-    over = region.covers(z[:, kept] / design.units.state[kept])
+    over = region.holds(z / design.units.state)
     below: Truth = design.lyapunov.V(z) / design.units.energy <= region.level
     return over & below
 
@@ -86,7 +85,7 @@ def _plant_states(design: Design) -> Vector:
     kept = tuple(k for k, i in enumerate(active) if i < n)
     gone = tuple(k for k, i in enumerate(active) if i >= n)
     x = (lo + quasi_random(_PLANT_SAMPLES, n, 0) * (hi - lo))[:, [active[k] for k in kept]]
-    landscape = Landscape(natural, active, kept, gone)
+    landscape = Landscape(natural.lyapunov, natural.z_star, active, kept, gone)
     return np.asarray(landscape.states(x, landscape.minima(x).e) * design.units.state)
 
 

@@ -79,7 +79,8 @@ class _Picture:
     @cached_property
     def _landscape(self) -> Landscape:
         gone = tuple(i for i in range(len(self.region.active)) if i not in self.region.kept)
-        return Landscape(self.design.natural, self.region.active, self.region.kept, gone)
+        natural, region = self.design.natural, self.region
+        return Landscape(natural.lyapunov, natural.z_star, region.active, region.kept, gone)
 
     @cached_property
     def _place(self) -> Vector | None:

@@ -27,7 +27,7 @@ class Regulariser:
 
 @dataclass(frozen=True)
 class Level:
-    """As much of the domain as possible below a level that its boundary is not below."""
+    """What ends the region is raised: one critical point of V, else w on the domain's boundary."""
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,6 +11,7 @@ import sympy as sp
 from necc_casadi.arrays import Vector
 from necc_casadi.casimirs.casimirs import Casimirs
 from necc_casadi.casimirs.momenta import find_momenta
+from necc_casadi.certificate.claims.regions import MOST_KEPT
 from necc_casadi.designs.natural import (
     natural_ceiling,
     natural_verdict,
@@ -28,7 +29,7 @@ from necc_casadi.symbolic.expressions import is_finite
 from necc_casadi.symbolic.floats import to_floats
 from necc_casadi.synthesis.convexity import least_kappa
 from necc_casadi.synthesis.learned_casimir import casimir_penalty, state_inputs
-from necc_casadi.synthesis.options import Options, check_options, form_of
+from necc_casadi.synthesis.options import Level, Options, Regulariser, check_options, form_of
 from necc_casadi.synthesis.potential_free import (
     HELD_XI,
     POTENTIAL_FREE_STIFFNESS,
@@ -36,9 +37,9 @@ from necc_casadi.synthesis.potential_free import (
     is_potential_free,
 )
 from necc_casadi.synthesis.sample_box import sample_box
-from necc_casadi.synthesis.shaping import Shaping, make_shaping
+from necc_casadi.synthesis.shaping import Shaping, average_over, height_over
 from necc_casadi.synthesis.training import STIFFER, Anchor, Penalty
-from necc_casadi.synthesis.uniqueness import kappa_of_one_minimum
+from necc_casadi.synthesis.uniqueness import bent_states, kappa_of_one_minimum
 from necc_casadi.verdict.verdict import Verdict
 
 __all__ = ["Plan", "make_plan", "whole_space_stiffness"]
@@ -140,7 +141,11 @@ def make_plan(
     if options.learn_casimir:
         penalty = casimir_penalty(terms, form, natural, plan.z, options.seed)
         return replace(plan, extra=penalty)
-    return replace(plan, extra=_shaping(plan, options))
+    kappa = _least_stiffness(plan, options)
+    plan = replace(plan, anchor=_stiffened(plan, options, kappa))
+    # one critical point: no obstacle is left to raise
+    one = isinstance(options.shaping, Level) and kappa is not None
+    return plan if one else replace(plan, extra=_shaping(plan, options))
 
 
 def _check_numbers(plan: Plan) -> None:
@@ -185,21 +190,27 @@ def _anchor(plan: Plan, options: Options) -> Anchor:
     if plain and is_potential_free(plan.loop, plan.casimirs):
         guess = best_coordinates(plan.terms, plan.x, anchor.xi, plan.natural)
         anchor = Anchor(guess, pull=HELD_XI, stiffness=POTENTIAL_FREE_STIFFNESS)
-    if options.convex or options.whole:
-        kappa = _least_stiffness(plan, options)
-        start = STIFFER if options.convex else _WHOLE_STIFFER
-        stiff = (start * kappa,) * len(form.networks) if kappa > KAPPA_MIN else anchor.stiffness
-        anchor = replace(anchor, kappa_min=kappa, stiffness=stiff)
     return anchor
 
 
-def _least_stiffness(plan: Plan, options: Options) -> float:
+def _stiffened(plan: Plan, options: Options, kappa: float | None) -> Anchor:
+    """The start of training where quadratic parts are no softer than κ."""
+    anchor, networks = plan.anchor, len(plan.form.networks)
+    if kappa is None:
+        return anchor
+    start = STIFFER if options.convex else _WHOLE_STIFFER
+    stiff = (start * kappa,) * networks if kappa > KAPPA_MIN else anchor.stiffness
+    return replace(anchor, kappa_min=kappa, stiffness=stiff)
+
+
+def _least_stiffness(plan: Plan, options: Options) -> float | None:
     """The least κ for a V that is convex everywhere, or has one critical point."""
-    if not options.convex:
-        return whole_space_stiffness(plan) or KAPPA_MIN
-    momenta = find_momenta(plan.loop, plan.casimirs, plan.x_star)
-    at = (plan.terms, plan.scales, plan.verdict, plan.x, plan.anchor.xi)
-    return least_kappa(*at, plan.curvature, momenta)
+    if options.convex:
+        momenta = find_momenta(plan.loop, plan.casimirs, plan.x_star)
+        at = (plan.terms, plan.scales, plan.verdict, plan.x, plan.anchor.xi)
+        return least_kappa(*at, plan.curvature, momenta)
+    level = isinstance(options.shaping, Level) and options.quadratic and not plan.form.betas
+    return whole_space_stiffness(plan) if options.whole or level else None
 
 
 def whole_space_stiffness(plan: Plan) -> float | None:
@@ -237,10 +248,18 @@ def _shaping(plan: Plan, options: Options) -> Shaping | None:
             "Add --casimir-form joint.",
         )
     momenta = find_momenta(plan.loop, plan.casimirs, plan.x_star)
-    natural = plan.natural
-    box = sample_box(plan.loop, plan.casimirs, plan.terms, plan.z, natural.state, momenta)
-    a = float((plan.curvature * natural.state**2).min())
-    return make_shaping(asked, box, natural.state, natural.energy, a, options.seed)
+    size, energy = plan.natural.state, plan.natural.energy
+    box = sample_box(plan.loop, plan.casimirs, plan.terms, plan.z, size, momenta)
+    if isinstance(asked, Regulariser):
+        return average_over(asked.gamma, box, size, energy, options.seed)
+    kept: Sequence[int] = box.active
+    if options.quadratic:  # the rest of V is quadratic, apart from the networks
+        kept = bent_states(plan.terms, plan.scales, plan.verdict, plan.z, momenta)
+    kept = [i for i in kept if i in box.shaped]
+    if not 0 < len(kept) <= MOST_KEPT:
+        return None
+    a = float((plan.curvature * size**2).min())
+    return height_over(kept, box, size, energy, a, options.seed)
 
 
 def _inputs(

@@ -1,7 +1,7 @@
 """What is asked of V over the domain, beside the conditions at z*: the shape of a training run.
 
-With ΔV(z) = V(z) − V(z*) and samples zᵢ of the domain, all in natural units and with momenta at
-rest, which add their kinetic energy to V whatever the networks do:
+With ΔV(z) = V(z) − V(z*) and samples of the domain, all in natural units and with momenta at rest,
+which add their kinetic energy to V whatever the networks do:
 
 *regulariser*: the published one (Remark on the region of attraction) with V's free offset removed
 and ReLU smoothed,
@@ -11,24 +11,28 @@ and ReLU smoothed,
 As published, with V(zᵢ) in place of ΔV(zᵢ), an offset of V would minimise it
 (docs/theory.md#regulariser-without-offset).
 
-*level*: the part of the domain below a level c that no boundary point lies below,
+*level*: the height of what ends the region, in the few states s that are not minimised out. With
+w(s) = min V(s, ·) = V(s, ε(s)),
 
-    min  (1/N) Σ σ((ΔV(zᵢ) − c)/τ) + (w/N) Σ [ReLU(η − gᵢ) + ReLU(η − kᵢ)]
-    subject to  ΔV(bⱼ) ≥ c at samples bⱼ of the boundary,  c ≤ the momenta's ceiling,
+    max  c − (ω/M) Σ ReLU(η − gᵢ)    subject to  w(sⱼ) − V(z*) ≥ c on the boundary,  c ≤ ceiling,
 
-σ(v) = (1 + v/√(1 + v²))/2. The growth gᵢ = ∇V(yᵢ)ᵀ(yᵢ − z*)/‖yᵢ − z*‖² keeps other critical points
-out, at samples yᵢ that crowd around z*; the curvature kᵢ = dᵢᵀ∇²V(yᵢ)dᵢ in unit directions dᵢ, at
-samples yet closer, keeps V convex around z*, where a certificate must tell z̄ from other points.
-A certificate, not these samples, says what was reached.
+where gᵢ = ∇w(sᵢ)ᵀ(sᵢ − s*)/‖sᵢ − s*‖² keeps other critical points out, ∇w = V_s(s, ε(s)). V is
+affine in what moves, so w is concave in it, a minimum of affine functions: ε(sᵢ) of one V gives the
+cuts for the next (Kelley's method). What the networks may take from the quadratic parts is bounded:
+V stays convex in what is minimised out. A certificate, not these samples, says what was reached.
 
-Shaped networks keep their hidden layers at their random initialisation: V is then affine in what
-moves, and the Hessian of both objectives is exact at the price of one product AᵀDA.
+Shaped networks keep their hidden layers: V is then affine in what moves, and the Hessian of both
+objectives is exact at the price of one product AᵀDA.
+
+References
+----------
+Kelley (1960), The cutting-plane method for solving convex programs.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import casadi as ca
@@ -36,20 +40,23 @@ import numpy as np
 import numpy.typing as npt
 
 from necc_casadi.arrays import Vector
-from necc_casadi.lyapunov.lyapunov import Terms, value
-from necc_casadi.lyapunov.networks import Network
+from necc_casadi.certificate.prover.arithmetic.hessian_floor import hessian_floor
+from necc_casadi.certificate.prover.region.landscape import Landscape
+from necc_casadi.lyapunov.lyapunov import LyapunovFunction, Terms, value
+from necc_casadi.lyapunov.networks import KAPPA_MIN, Network
 from necc_casadi.lyapunov.parameterization import Form
 from necc_casadi.model.samples import quasi_random
 from necc_casadi.synthesis.lifting import Lifting
-from necc_casadi.synthesis.options import Level, Regulariser
 from necc_casadi.synthesis.sample_box import SampleBox
 
 __all__ = [
     "AffineRows",
+    "Average",
+    "Height",
     "Shaping",
-    "make_shaping",
+    "average_over",
+    "height_over",
     "moving_weights",
-    "sharper",
 ]
 
 
@@ -60,15 +67,8 @@ _Symbols = TypeVar("_Symbols", ca.MX, ca.SX)
 _SMOOTHING = 0.1
 
 
-#: τ, as a share of the largest level.
-_SHARPNESS = 0.05
-
-
-#: η, δ and w: least growth along rays in natural units, and what falling short of it costs.
-_GROWTH, _GROWTH_SMOOTHING, _GROWTH_COST = 0.2, 0.1, 10.0
-
-
-_CURVATURE_COST = 3.0
+#: η, δ and ω: least growth along rays in natural units, and what falling short of it costs.
+_GROWTH, _GROWTH_SMOOTHING, _GROWTH_COST = 0.2, 0.1, 100.0
 
 
 #: η is no more than this share of the curvature asked for at z*.
@@ -79,11 +79,6 @@ _BELOW_A = 0.4
 _NEAREST = 0.05
 
 
-#: Curvature is sampled up to this share of the way: in two states, and in more, where the cells
-#: on which a certificate tells z̄ from its surroundings are larger.
-_CONVEX, _CONVEX_IN_MORE = 0.2, 0.35
-
-
 #: V where the model is not defined, in natural units: far above every level.
 _AT_A_POLE = 1e3
 
@@ -92,148 +87,209 @@ _AT_A_POLE = 1e3
 _SCALAR_WEIGHTS = 10_000
 
 
-#: Entries of a sample's row: ΔV, ∇Vᵀd, dᵀ∇²V d.
-_VALUE, _SLOPE, _CURVATURE = range(3)
+#: Entries of a sample's row: ΔV, ∇Vᵀd.
+_VALUE, _SLOPE = range(2)
 
 
 #: Weight beside the other terms of the objective, which then only select among equal shapes.
-_REGULARISER_WEIGHT, _LEVEL_WEIGHT = 100.0, 5000.0
+_REGULARISER_WEIGHT, _LEVEL_WEIGHT = 100.0, 500.0
 
 
 #: The largest level in units of energy, as for a momentum at twice its natural size.
 _HIGHEST = 2.0
 
 
-#: Hidden weights start this much larger than those of unshaped networks.
-_DETAIL = 1.5
-
-
-#: Samples inside, and of the boundary.
-_INNER, _BOUNDARY = 256, 128
-
-
-#: Samples are chosen among this many times as many, where V can be below the largest level at all.
-_CANDIDATES = 8
+#: Samples of the regulariser; of s for the growth, by the number of kept states, and of s on the
+#: boundary.
+_INNER, _RAYS, _BOUNDARY = 256, {1: 96, 2: 192, 3: 256}, 128
 
 
 @dataclass(frozen=True, eq=False)
 class Shaping:
-    """Samples and objective, as elementwise functions of rows u = A m + b in moving weights m.
+    """Samples and objective, as elementwise functions of rows u = A m + b in moving weights m."""
 
-    The rows are, for the regulariser, the mean of ‖zᵢ − z*‖² − γ ΔV(zᵢ); for the level ΔV(zᵢ), then
-    growth, then curvature, then ΔV(bⱼ). Energies and lengths are in natural units.
-    """
-
-    asked: Regulariser | Level
-    inner: Vector  # (N, n + nc) zᵢ − z*
-    rays: Vector  # (N, n + nc) yᵢ − z* for the growth
-    near: Vector  # (N, n + nc) yᵢ − z* for the curvature
-    directions: Vector  # (N, n + nc) dᵢ, unit vectors in natural units
-    boundary: Vector  # (B, n + nc) bⱼ − z*
     size: Vector  # (n + nc,) natural size of each state
-    energy: float  # natural size of V
-    growth: float = _GROWTH  # η
-
-    @property
-    def has_level(self) -> bool:
-        """Whether the level c is a decision variable."""
-        return isinstance(self.asked, Level)
+    energy: float  # what V is measured in
+    has_level = False  # whether the level c is a decision variable
 
     @property
     def count(self) -> int:
         """Number of rows u."""
-        return self._inside + len(self.boundary) if self.has_level else 1
-
-    @property
-    def _inside(self) -> int:
-        return len(self.inner) + len(self.rays) + len(self.near)
+        raise NotImplementedError
 
     def rows(
         self, terms: Terms, form: Form, weights: Vector, z_star: Vector
     ) -> tuple[Vector, Vector]:
         """(A, b) with u = A m + b, other weights fixed: (count, moving) and (count,)."""
+        raise NotImplementedError
+
+    def objective(self, u: ca.SX, c: ca.SX) -> ca.SX:
+        """The weighted objective, a sum of functions of uᵢ and one of c."""
+        raise NotImplementedError
+
+    def margins(self, u: ca.SX, c: ca.SX) -> ca.SX:
+        """What must not be negative."""
+        raise NotImplementedError
+
+    def _sampled(
+        self, terms: Terms, form: Form, weights: Vector, z_star: Vector
+    ) -> Callable[[int, Vector, Vector], tuple[Vector, Vector]]:
+        """(entry of a row, offsets, directions) -> u (S,) in natural units, A (S, moving)."""
         moving = moving_weights(form)
         row = _row(terms, form, moving)
 
         def at(kind: int, offsets: Vector, directions: Vector) -> tuple[Vector, Vector]:
-            """One entry of `row` in natural units, (S,), and its slopes, (S, moving)."""
             S = len(offsets)
             both = [np.repeat(v[:, None], S, axis=1) for v in (weights, z_star)]
             values, slopes = row.map(S).call([*both, offsets.T, directions.T])
             u = np.asarray(values, float)[kind] / self.energy
-            A = np.asarray(slopes, float).reshape(3, S, moving.size)[kind] / self.energy
+            A = np.asarray(slopes, float).reshape(2, S, moving.size)[kind] / self.energy
             poles = ~(np.isfinite(u) & np.isfinite(A).all(axis=1))
             u[poles], A[poles] = _AT_A_POLE, 0.0
             return u, A
 
-        squares = [((o / self.size) ** 2).sum(1) for o in (self.inner, self.rays)]
-        parts = [at(_VALUE, self.inner, self.inner)]
-        if isinstance(self.asked, Regulariser):
-            (u, A), gamma = parts[0], self.asked.gamma
-            defined = u != _AT_A_POLE
-            mean = np.array([np.mean((squares[0] - gamma * u)[defined])])
-            slope = -gamma * A[defined].mean(0, keepdims=True)
-            return slope, mean - slope @ weights[moving]
-        parts.append(at(_SLOPE, self.rays, self.rays / squares[1][:, None]))
-        parts.append(at(_CURVATURE, self.near, self.directions))
-        parts.append(at(_VALUE, self.boundary, self.boundary))
-        A = np.concatenate([slopes for _, slopes in parts])
-        return A, np.concatenate([u for u, _ in parts]) - A @ weights[moving]
+        return at
+
+
+@dataclass(frozen=True, eq=False)
+class Average(Shaping):
+    """The regulariser; its row is the mean of ‖zᵢ − z*‖² − γ ΔV(zᵢ)."""
+
+    gamma: float
+    inner: Vector  # (N, n + nc) zᵢ − z*
+
+    @property
+    def count(self) -> int:
+        """One."""
+        return 1
+
+    def rows(
+        self, terms: Terms, form: Form, weights: Vector, z_star: Vector
+    ) -> tuple[Vector, Vector]:
+        """The mean over samples at which the model is defined."""
+        u, A = self._sampled(terms, form, weights, z_star)(_VALUE, self.inner, self.inner)
+        defined = u != _AT_A_POLE
+        squares = ((self.inner / self.size) ** 2).sum(1)
+        mean = np.array([np.mean((squares - self.gamma * u)[defined])])
+        slope = -self.gamma * A[defined].mean(0, keepdims=True)
+        return slope, mean - slope @ weights[moving_weights(form)]
 
     def objective(self, u: ca.SX, c: ca.SX) -> ca.SX:
-        """The weighted objective, a sum of functions of (uᵢ, c)."""
-        if not self.has_level:
-            return _REGULARISER_WEIGHT * _relu(u, _SMOOTHING)
-        N, M = len(self.inner), len(self.rays)
-        outside = (u[:N] - c) / (_SHARPNESS * _HIGHEST)
-        share = ca.sum1(1 + outside / ca.sqrt(1 + outside**2)) / (2 * N)
-        growth, curvature = u[N : N + M], u[N + M : N + 2 * M]
-        short = _GROWTH_COST * _relu(self.growth - growth, _GROWTH_SMOOTHING)
-        short += _CURVATURE_COST * _relu(self.growth - curvature, _GROWTH_SMOOTHING)
-        return _LEVEL_WEIGHT * (share + ca.sum1(short) / M)
+        """The smooth ReLU of the mean."""
+        return _REGULARISER_WEIGHT * _relu(u, _SMOOTHING)
 
     def margins(self, u: ca.SX, c: ca.SX) -> ca.SX:
-        """What must not be negative."""
-        if not self.has_level:
-            return ca.SX(0, 1)
-        return ca.vertcat(_HIGHEST - c, u[self._inside :] - c)
-
-    def first_level(self, u: Vector) -> Vector:
-        """Where c starts: (1,), or nothing."""
-        if not self.has_level:
-            return np.zeros(0)
-        return np.array([0.9 * min(_HIGHEST, float(u[self._inside :].min()))])
+        """Nothing."""
+        return ca.SX(0, 1)
 
 
-def make_shaping(
-    asked: Regulariser | Level, box: SampleBox, size: Vector, energy: float, a: float, seed: int
-) -> Shaping:
-    """Samples of the box and of its boundary, the same for the same seed.
+@dataclass(frozen=True, eq=False)
+class Height(Shaping):
+    """The level; its rows are the growth of w along rays, then w(sⱼ) − V(z*) on the boundary."""
+
+    rays: Vector  # (M, n + nc) (sᵢ, εᵢ) − z*
+    boundary: Vector  # (B, n + nc) (sⱼ, εⱼ) − z*
+    active: tuple[int, ...]  # the states that do not rest
+    kept: tuple[int, ...]  # s, those of them that are not minimised out
+    growth: float  # η
+    has_level = True
+
+    @property
+    def count(self) -> int:
+        """Number of samples of s."""
+        return len(self.rays) + len(self.boundary)
+
+    def at(self, V: LyapunovFunction, z_star: Vector) -> Height:
+        """The same samples of s, with the minimisers ε(s) of this V."""
+        kept = tuple(k for k, i in enumerate(self.active) if i in self.kept)
+        gone = tuple(k for k, i in enumerate(self.active) if i not in self.kept)
+        landscape = Landscape(V, z_star, self.active, kept, gone)
+
+        def lowered(offsets: Vector) -> Vector:
+            s = (offsets + z_star)[:, list(self.kept)]
+            found = landscape.states(s, landscape.minima(s).e) - z_star
+            return np.where(np.isfinite(found).all(1, keepdims=True), found, offsets)
+
+        return replace(self, rays=lowered(self.rays), boundary=lowered(self.boundary))
+
+    def rows(
+        self, terms: Terms, form: Form, weights: Vector, z_star: Vector
+    ) -> tuple[Vector, Vector]:
+        """Growth and height at the minimisers as they stand."""
+        at = self._sampled(terms, form, weights, z_star)
+        radial = np.zeros_like(self.rays)
+        radial[:, list(self.kept)] = self.rays[:, list(self.kept)]
+        square = ((radial / self.size) ** 2).sum(1, keepdims=True)
+        parts = [
+            at(_SLOPE, self.rays, radial / square),
+            at(_VALUE, self.boundary, self.boundary),
+        ]
+        u, A = (np.concatenate(both) for both in zip(*parts, strict=True))
+        return A, u - A @ weights[moving_weights(form)]
+
+    def objective(self, u: ca.SX, c: ca.SX) -> ca.SX:
+        """The level, and how far growth falls short."""
+        M = len(self.rays)
+        short = _GROWTH_COST / M * ca.sum1(_relu(self.growth - u[:M], _GROWTH_SMOOTHING))
+        return _LEVEL_WEIGHT * (short - c)
+
+    def margins(self, u: ca.SX, c: ca.SX) -> ca.SX:
+        """The level below the ceiling and below w on the boundary."""
+        return ca.vertcat(_HIGHEST - c, u[len(self.rays) :] - c)
+
+    def first_level(self, u: Vector) -> float:
+        """Where c starts."""
+        return 0.9 * min(_HIGHEST, float(u[len(self.rays) :].min()))
+
+    def held(self, form: Form, w_hat: Vector) -> tuple[Vector, Vector]:
+        """Bounds (size,) of ŵ within which V stays convex in what is minimised out.
+
+        No κ becomes less, and output weights share what their network leaves of it now: a
+        matrix below the network's Hessian, on which a certificate rests, stays diagonally dominant.
+        """
+        lower, upper = np.full(form.size, -np.inf), np.full(form.size, np.inf)
+        start = 0
+        for network in (form.hc, form.k):
+            part = slice(start, start + network.size)
+            start += network.size
+            if not network.quadratic:
+                continue
+            out, kappa = _outputs(network), _kappa(network)
+            own = w_hat[part]
+            taken, v = _softening(network, own), np.abs(own[out])
+            left = np.maximum(own[kappa] - KAPPA_MIN - taken.T @ v, 0.0)
+            share = left / (len(v) * np.where(taken > 0, taken, np.inf))
+            room = np.where(taken > 0, share, np.inf).min(1, initial=np.inf)
+            upper[part][out], lower[part][out] = v + room, -v - room
+            lower[part][kappa] = own[kappa]
+        return lower, upper
+
+
+def average_over(gamma: float, box: SampleBox, size: Vector, energy: float, seed: int) -> Average:
+    """Samples of the box, the same for the same seed."""
+    shares = quasi_random(_INNER, len(box.active), seed)
+    return Average(size, energy, gamma, _offsets(box, box.active, shares))
+
+
+def height_over(
+    kept: Sequence[int], box: SampleBox, size: Vector, energy: float, a: float, seed: int
+) -> Height:
+    """Samples of s in the box and on its boundary, the same for the same seed.
 
     No more growth is asked for than the curvature `a` at z* allows, in energy over squared size.
     """
-    shaped = list(box.shaped)
     ceiling = min(box.ceiling, _least_excess(box, seed))
-    ceiling = ceiling if ceiling > 0 else np.inf  # nothing keeps them in: no region, whatever V is
-    inner = _offsets(box, box.active, quasi_random(_CANDIDATES * _INNER, len(box.active), seed))
-    within = inner[box.excess(inner) <= ceiling]
-    inner = (within if isinstance(asked, Level) and len(within) else inner)[:_INNER]
-    cube = quasi_random(_INNER, len(shaped) + 1, seed)
-    around, depth = _offsets(box, box.shaped, cube[:, 1:]), cube[:, :1]
-    directions = np.zeros_like(around)
-    directions[:, shaped] = np.random.default_rng(seed).normal(size=(_INNER, len(shaped)))
-    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    if isinstance(asked, Level):  # what matters is how far V lies below the largest level
-        energy = ceiling / _HIGHEST if np.isfinite(ceiling) else energy
-    return Shaping(
-        asked=asked,
-        inner=inner,
-        rays=around * (_NEAREST + (1 - _NEAREST) * depth),
-        near=around * (_CONVEX if len(box.active) <= 2 else _CONVEX_IN_MORE),
-        directions=directions * size,
-        boundary=np.concatenate(list(_faces(box, box.shaped, _BOUNDARY, seed))),
-        size=size,
-        energy=energy,
+    if 0 < ceiling < np.inf:  # what matters is how far V lies below the largest level
+        energy = ceiling / _HIGHEST
+    cube = quasi_random(_RAYS[len(kept)], len(kept) + 1, seed)
+    depth = _NEAREST + (1 - _NEAREST) * cube[:, :1]
+    return Height(
+        size,
+        energy,
+        rays=_offsets(box, kept, cube[:, 1:]) * depth,
+        boundary=np.concatenate(list(_faces(box, kept, _BOUNDARY, seed))),
+        active=box.active,
+        kept=tuple(kept),
         growth=min(_GROWTH, _BELOW_A * a / energy),
     )
 
@@ -272,12 +328,33 @@ def moving_weights(form: Form) -> npt.NDArray[np.int_]:
     return np.concatenate(result).astype(int)
 
 
-def sharper(form: Form) -> Vector:
-    """Factors for random weights: features of more detail in the hidden layers, (size,)."""
-    parts = [np.ones(network.size) for network in (form.hc, form.k)]
-    for network, factor in zip((form.hc, form.k), parts, strict=True):
-        factor[: sum(rows * columns + rows for rows, columns in network.shapes[:-1])] = _DETAIL
-    return np.concatenate(parts)
+def _softening(network: Network, weights: Vector) -> Vector:
+    """What each |v| of the output layer takes from each κ at most, (h, d).
+
+    Sums of rows of the matrix below the network's Hessian on which a certificate rests.
+    """
+    out = _outputs(network)
+    result = np.zeros((out.stop - out.start, network.inputs))
+    for j in range(len(result)):
+        alone = weights.copy()
+        alone[out.start : _kappa(network).stop] = 0.0
+        for sign in (-1.0, 1.0):
+            alone[out.start + j] = sign
+            taken = np.abs(hessian_floor(network, alone).lo).sum(1)
+            result[j] = np.maximum(result[j], taken)
+    return result
+
+
+def _outputs(network: Network) -> slice:
+    """Weights of the output layer, without its bias."""
+    rows, columns = network.shapes[-1]
+    end = network.size - (2 * network.inputs if network.quadratic else 0) - rows
+    return slice(end - rows * columns, end)
+
+
+def _kappa(network: Network) -> slice:
+    """κ of the quadratic part."""
+    return slice(network.size - 2 * network.inputs, network.size - network.inputs)
 
 
 def _affine_weights(network: Network) -> npt.NDArray[np.int_]:
@@ -288,15 +365,14 @@ def _affine_weights(network: Network) -> npt.NDArray[np.int_]:
 
 
 def _row(terms: Terms, form: Form, moving: npt.NDArray[np.int_]) -> ca.Function:
-    """(weights, z*, o, d) -> (ΔV, ∇Vᵀd, dᵀ∇²V d) at z* + o, and its Jacobian in what moves."""
+    """(weights, z*, o, d) -> (ΔV, ∇Vᵀd) at z* + o, and its Jacobian in what moves."""
     N = terms.n + terms.nc
     w, z_star, o, d = (ca.MX.sym(s, k) for s, k in zip("wzod", (form.size, N, N, N), strict=True))
     z = ca.MX.sym("z", N)
     V = value(terms, z, form.controller_energy(w), form.casimir(w), form.outer(w))
-    slope = ca.jtimes(V, z, d)
-    jet = ca.Function("jet", [w, z, d], [V, slope, ca.jtimes(slope, z, d)])
-    here, first, second = jet.call([w, z_star + o, d])
-    both = ca.vertcat(here - jet.call([w, z_star, d])[0], first, second)
+    jet = ca.Function("jet", [w, z, d], [V, ca.jtimes(V, z, d)])
+    here, slope = jet.call([w, z_star + o, d])
+    both = ca.vertcat(here - jet.call([w, z_star, d])[0], slope)
     symbols = [w, z_star, o, d]
     plain = ca.Function("plain", symbols, [both])
     if form.size > _SCALAR_WEIGHTS:

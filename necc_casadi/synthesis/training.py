@@ -26,7 +26,8 @@ that the Gauss–Newton Hessian is accurate.
 
 *Shaped form* (shaping.py). The hard form with a heavy objective over samples of the
 domain, in rows u = A m + b that are affine in the weights m that move; the hidden layers are fixed
-at their start and ξ* is held to its own, around which the samples lie. The Hessian is exact.
+at their start and ξ* is held to its own, around which the samples lie. The Hessian is exact. A
+level starts from a solved hard form and is solved again for the minimisers of the V it gave.
 
 References
 ----------
@@ -37,7 +38,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import casadi as ca
 import numpy as np
@@ -46,13 +47,13 @@ import numpy.typing as npt
 from necc_casadi.arrays import Vector
 from necc_casadi.designs.outcome import Start, solver_seconds
 from necc_casadi.interrupts import interruptible
-from necc_casadi.lyapunov.lyapunov import Terms
+from necc_casadi.lyapunov.lyapunov import LyapunovFunction, Terms
 from necc_casadi.lyapunov.networks import KAPPA_MIN
 from necc_casadi.lyapunov.parameterization import Form
 from necc_casadi.model.sizes import Sizes
 from necc_casadi.synthesis.lifting import Lifting
 from necc_casadi.synthesis.programs import Program, hard_program, soft_program, with_level
-from necc_casadi.synthesis.shaping import AffineRows, Shaping, moving_weights, sharper
+from necc_casadi.synthesis.shaping import AffineRows, Average, Height, Shaping, moving_weights
 
 __all__ = ["STIFFER", "Anchor", "Penalty", "Solution", "train"]
 
@@ -71,6 +72,10 @@ SHAPED_XI_COST = 1e4
 
 #: Quadratic parts start this much above their lower bound.
 STIFFER = 1.1
+
+
+#: How often a level is solved, each time for the minimisers of the V before.
+_ROUNDS = 3
 
 
 #: A start whose ε, in natural units, is below this has solved the hard form.
@@ -112,6 +117,14 @@ _SHAPED = {
 
 #: (weights, ξ*) ↦ a further term of the objective, over as many sample points as it likes.
 Penalty = Callable[[ca.MX, ca.MX], ca.MX]
+
+
+#: Makes the program in the lifted variables.
+_Make = Callable[[Lifting, Vector, tuple[float, ...] | None], Program | None]
+
+
+#: The outcome of a start, weights and ξ*.
+_Result = tuple[Start, Vector, Vector]
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,8 +179,8 @@ def train(
 ) -> Solution:
     """Minimise eq. Loss over the weights and ξ*.
 
-    Each start runs the shaped form where one is asked for, then, as long as none is solved, the
-    hard form and the soft form.
+    Each start runs the regularised form where one is asked for, then, as long as none is solved,
+    the hard form and the soft form. A level is asked of the best that solved the hard form.
 
     Parameters
     ----------
@@ -196,10 +209,13 @@ def train(
     anchor = anchor or Anchor(np.zeros(terms.nc))
     asked = np.broadcast_to(np.asarray(a, float), (terms.n + terms.nc,))
     lifting = Lifting(terms, form, np.asarray(x_star, float), scales, anchor.xi)
-    results: list[tuple[Start, Vector, Vector]] = []
+    results: list[_Result] = []
     plain = None if isinstance(extra, Shaping) else extra
+    forms: list[tuple[_Make, Penalty | Shaping | None]]
     forms = [(hard_program, plain), (soft_program, plain)]
-    for make, added in [(hard_program, extra), *forms] if extra is not plain else forms:
+    if isinstance(extra, Average):
+        forms = [(hard_program, extra), *forms]
+    for make, added in forms:
         program = make(lifting, asked, anchor.stiffness)
         if program is None:
             continue
@@ -211,6 +227,15 @@ def train(
         if any(start.loss <= SOLVED for start, _, _ in results):
             break
     best, weights, xi_star = min(results, key=lambda result: _rank(result[0]))
+    program = hard_program(lifting, asked, anchor.stiffness)
+    if isinstance(extra, Height) and program is not None and best.loss <= SOLVED:
+        shaper = _Shaper(lifting, program, asked, anchor, extra, verbose)
+        shaped = shaper.shaped(best, weights, xi_star)
+        results.append(shaped)
+        if report is not None:
+            report(shaped[0])
+        if shaped[0].loss <= SOLVED:
+            best, weights, xi_star = shaped
     return Solution(weights, xi_star, best.loss, tuple(start for start, _, _ in results))
 
 
@@ -307,26 +332,31 @@ class _Solver:
         inputs = [ca.vertcat(s, w), p, multiplier_f, multiplier_g]
         return {"hess_lag": ca.Function("hess_lag", inputs, [ca.triu(hessian)])}
 
-    def run(self, seed: int, away: bool) -> tuple[Start, Vector, Vector]:
-        """Solve from the random initialisation `seed`: (outcome, weights, ξ*)."""
+    def run(self, seed: int, away: bool) -> _Result:
+        """Solve from the random initialisation `seed`."""
         lifting, nc = self.lifting, self.lifting.terms.nc
         rng = np.random.default_rng(seed)
         w0 = lifting.form.initial(rng)
-        if self.shaping is not None and self.shaping.has_level:
-            w0 *= sharper(lifting.form)
         spread = 0.5 * lifting.scales.state[-nc:] if away else np.zeros(nc)
         xi0 = lifting.guess + rng.normal(0.0, 1.0, nc) * spread
         w0 = lifting.centred(w0, xi0, self.stiffness)
+        return self._solved(seed, w0, xi0, self.shaping)
+
+    def _solved(self, seed: int, w0: Vector, xi0: Vector, shaping: Shaping | None) -> _Result:
+        """Solve from ŵ and ξ*, with the samples of this shaping."""
+        lifting, nc = self.lifting, self.lifting.terms.nc
         small = lifting.small_at(w0, xi0)
         first, p = self.program.initial(small), np.concatenate([xi0, w0])
-        lower, upper = self.lower, np.full(self.lower.size, np.inf)
-        if self.shaping is not None:
-            A, b, moving = self._sampled(self.shaping, w0, xi0)
-            level = self.shaping.first_level(A @ w0[moving] + b)
-            first = np.concatenate([first[: first.size - level.size], level])
+        lower, upper = self.lower.copy(), np.full(self.lower.size, np.inf)
+        if shaping is not None:
+            A, b, moving = self._sampled(shaping, w0, xi0)
             p = np.concatenate([p, A.ravel(order="F"), b])
+            if isinstance(shaping, Height):
+                first[-1] = shaping.first_level(A @ w0[moving] + b)
+                least, most = shaping.held(lifting.form, w0)
+                lower[self.n_small :] = np.maximum(lower[self.n_small :], least)
+                upper[self.n_small :] = most
             fixed = self.n_small + np.setdiff1d(np.arange(w0.size), moving)
-            lower = lower.copy()
             lower[fixed] = upper[fixed] = w0[fixed - self.n_small]
         began = time.perf_counter()
         with interruptible():
@@ -363,3 +393,30 @@ class _Solver:
         weights, z_star = lifting.sigma * w0 + lifting.tau, np.concatenate([lifting.x_star, xi0])
         A, b = shaping.rows(lifting.terms, lifting.form, weights, z_star)
         return A * lifting.sigma[moving], b + A @ lifting.tau[moving], moving
+
+
+class _Shaper(_Solver):
+    """The shaped form of a level: solved from a V, then for the minimisers of each V it gives."""
+
+    def shaped(self, start: Start, weights: Vector, xi_star: Vector) -> _Result:
+        """The last V that meets the conditions at z*, with all rounds' iterations and seconds."""
+        best: _Result = (start, weights, xi_star)
+        found, iterations, seconds = best, 0, 0.0
+        for _ in range(_ROUNDS):
+            found = self._round(*best)
+            iterations += found[0].iterations
+            seconds += found[0].seconds or 0.0
+            if found[0].loss > SOLVED:
+                break
+            best = found
+        last = found if best[0] is start else best
+        return replace(last[0], iterations=iterations, seconds=seconds), last[1], last[2]
+
+    def _round(self, start: Start, weights: Vector, xi_star: Vector) -> _Result:
+        """One solve, for the minimisers of this V."""
+        lifting, shaping = self.lifting, self.shaping
+        if isinstance(shaping, Height):
+            V = LyapunovFunction(lifting.terms, lifting.form, weights, np.eye(2 * lifting.terms.m))
+            shaping = shaping.at(V, np.concatenate([lifting.x_star, xi_star]))
+        w_hat = (weights - lifting.tau) / lifting.sigma
+        return self._solved(start.seed, w_hat, xi_star, shaping)

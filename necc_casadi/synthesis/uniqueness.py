@@ -29,7 +29,7 @@ from necc_casadi.model.sizes import Sizes
 from necc_casadi.symbolic.floats import to_floats
 from necc_casadi.verdict.verdict import Verdict
 
-__all__ = ["kappa_of_one_minimum"]
+__all__ = ["bent_states", "kappa_of_one_minimum"]
 
 
 #: η: least growth along rays that quadratic parts alone must reach, for the networks to take away.
@@ -109,15 +109,13 @@ class _Reduced:
         z, kappa = ca.SX.sym("z", len(z_star)), ca.SX.sym("kappa")
         V = _quadratic_parts(terms, scales, verdict, z_star, z, kappa)
         active = [i for i in range(len(z_star)) if i not in momenta]
-        hess, grad = ca.hessian(V, z)
-        block = ca.densify(hess[active, active])
-        bends = ca.which_depends(ca.vec(block), z, 1, False)
+        block, grad, bends = _derivatives(V, z, active)
         self.kept = [k for k, i in enumerate(active) if bends[i]]
         self.gone = [k for k, i in enumerate(active) if not bends[i]]
         self.size = scales.state[active]
         self.energy, self.z_star, self.active = scales.energy, z_star, active
         self._hessian = ca.Function("hessian", [z, kappa], [block])
-        self._gradient = ca.Function("gradient", [z, kappa], [ca.densify(grad[active])])
+        self._gradient = ca.Function("gradient", [z, kappa], [grad])
         self._mapped = self._gradient.map(_SAMPLES)
         shares = 2 * quasi_random(_SAMPLES, len(self.kept), 0) - 1
         self.away = shares * (2 * np.pi * _TURNS * angle[active][self.kept])
@@ -146,6 +144,23 @@ class _Reduced:
         along = (slopes[:, self.kept] * self.away).sum(1)
         square = ((self.away / self.size[self.kept]) ** 2).sum(1)
         return float(np.min(along / (self.energy * square)))
+
+
+def bent_states(
+    terms: Terms, scales: Sizes, verdict: Verdict, z_star: Vector, momenta: Sequence[int]
+) -> list[int]:
+    """The states on which ∇²V_κ depends, momenta at rest: V_κ is quadratic in the others."""
+    z = ca.SX.sym("z", len(z_star))
+    V = _quadratic_parts(terms, scales, verdict, z_star, z, ca.SX(1))
+    active = [i for i in range(len(z_star)) if i not in momenta]
+    return [i for i in active if _derivatives(V, z, active)[2][i]]
+
+
+def _derivatives(V: ca.SX, z: ca.SX, active: list[int]) -> tuple[ca.SX, ca.SX, list[bool]]:
+    """∇²V and ∇V in the active states, and on which states the former depends."""
+    hess, grad = ca.hessian(V, z)
+    block = ca.densify(hess[active, active])
+    return block, ca.densify(grad[active]), ca.which_depends(ca.vec(block), z, 1, False)
 
 
 def _quadratic_parts(

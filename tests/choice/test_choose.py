@@ -20,6 +20,11 @@ def chosen(task, options=None, say=None):
 
 
 @pytest.fixture(scope="module")
+def levitation():
+    return problem(load_model(EXAMPLES / "maglev.py"), None)
+
+
+@pytest.fixture(scope="module")
 def pendulums(pendulum):
     return chosen(pendulum)
 
@@ -113,3 +118,47 @@ def test_the_response_is_the_one_that_the_design_gives(pendulums, pendulum):
     made = pendulums.design
     again = saturated(made, bryson(made.sizes, 2))
     np.testing.assert_array_equal(again.cost, pendulums.kept.response.cost)
+
+
+def test_a_level_that_gains_is_kept(levitation):
+    choice = chosen(levitation, Options(shape="level"))
+    assert choice.kept.name == "shaped"
+    (default,) = choice.others
+    assert choice.kept.plant_share > default.plant_share
+    heights = [c.certificate.obstacle.level_above_minimum for c in (choice.kept, default)]
+    assert heights[0] > 8 * heights[1]
+    assert "times lower" in choice.reason
+
+
+def test_a_level_that_loses_part_of_the_region_is_not_kept(levitation):
+    """With sines, the height is gained and a part of the region lost."""
+    choice = chosen(levitation, Options(shape="level", activation="sin"))
+    assert choice.kept.name == "default"
+    assert [c.name for c in choice.others] == ["shaped"]
+    assert choice.kept.plant_share > choice.others[0].plant_share
+    assert [start.mode for start in choice.design.starts] == ["hard"]
+
+
+def test_where_nothing_can_be_shaped_the_default_is_kept_and_said_so():
+    task = problem(load_model(EXAMPLES / "cart_pole.py"), None)
+    choice = chosen(task, Options(shape="level", **SMALL))
+    assert choice.kept.name == "default"
+    assert choice.others == ()
+    assert "no state that a Casimir contains" in choice.reason
+
+
+def test_a_level_without_an_obstacle_needs_no_other_candidate(pendulum):
+    choice = chosen(pendulum, Options(shape="level", **SMALL))
+    assert choice.kept.name == "shaped"
+    assert choice.certificate.is_global
+    assert "leaves no obstacle" in choice.reason
+
+
+def test_a_shaped_design_can_be_polished(pendulum):
+    """Responses cost less, and V keeps its one critical point."""
+    plain = chosen(pendulum, Options(shape="level", **SMALL))
+    polished = chosen(pendulum, Options(shape="level", polish=True, **SMALL))
+    assert polished.certificate.is_global
+    assert polished.kept.cost_to_lqr <= plain.kept.cost_to_lqr
+    names = {polished.kept.name, *(p.name for p in polished.passed)}
+    assert {"shaped", "polished"} <= names

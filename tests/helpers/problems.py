@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 from necc_casadi.casimirs.find import find_casimirs
 from necc_casadi.designs.design import Design
-from necc_casadi.model.target import parse_target
+from necc_casadi.model.target import parse_target, target_from_model
 from necc_casadi.synthesis.options import Options
 from necc_casadi.synthesis.synthesis import design
 from necc_casadi.verdict.judge import judge
@@ -28,7 +28,10 @@ name = "Cart and crane"
 
 
 def problem(model, target):
-    x_star = parse_target(model.loop.plant, target)
+    if target is None:
+        x_star = target_from_model(model.loop.plant, model.target)
+    else:
+        x_star = parse_target(model.loop.plant, target)
     casimirs = find_casimirs(model.loop, model.casimirs, x_star)
     verdict = judge(model.loop, casimirs, x_star)
     return SimpleNamespace(

@@ -95,13 +95,14 @@ class CellBox:
 
 @dataclass(frozen=True)
 class Region:
-    """Ω = {(s, e, p): s in a marked cell, V ≤ c}; the states e are minimised out, V_ee ⪰ F."""
+    """Ω = {(s, e, p): s in a marked cell, e in E, V ≤ c}; e are minimised out, V_ee ⪰ F on E."""
 
     level: float  # c
     active: tuple[int, ...]  # the states y = (s, e), indices in z; the others are momenta p
     kept: tuple[int, ...]  # s, positions in `active`
     floor: Rows  # F
     bends: Bends  # what F rests on
+    tube: tuple[Side, ...]  # E, a side for each of e; empty: all e
     box: CellBox  # of s
     core: tuple[Side, ...]  # around s̄, with ∇²w ≻ 0
     cells: str  # the marked cells, see `packed`
@@ -134,8 +135,16 @@ class Region:
 
     def contains(self, V: Lyapunov, z: Sequence[float]) -> bool:
         """Whether z is in Ω, by plain evaluation of V."""
-        s = np.array([[float(z[self.active[i]]) for i in self.kept]])
-        return bool(self.covers(s)[0]) and V(z) <= self.level
+        return bool(self.holds(np.array([z], float))[0]) and V(z) <= self.level
+
+    def holds(self, z: Vector) -> Truth:
+        """Whether states (B, N) are over marked cells and in the tube, (B,)."""
+        s = z[:, [self.active[i] for i in self.kept]]
+        gone = [i for k, i in enumerate(self.active) if k not in self.kept]
+        inside = self.covers(s)
+        for i, (lo, hi) in zip(gone, self.tube, strict=False):
+            inside &= (lo <= z[:, i]) & (z[:, i] <= hi)
+        return inside
 
     def covers(self, s: Vector) -> Truth:
         """Whether points (B, ds) are in marked cells, (B,)."""

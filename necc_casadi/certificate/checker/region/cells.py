@@ -103,7 +103,7 @@ class CellsProof:
         """Whether ∇²w ≻ 0 on the core, which lies in the box."""
         core, whole = self.region.core, self.region.box.whole
         inside = all(a <= lo and hi <= b for (lo, hi), (a, b) in zip(core, whole, strict=True))
-        return inside and self._everywhere(core, lambda c: c is not None and c.convex)
+        return inside and self._everywhere(core, self.reduced.convex)
 
     def cells_are_settled(self) -> bool:
         """Whether every marked cell is in the core, or ∇w ≠ 0 wherever w ≤ c on it."""
@@ -163,7 +163,11 @@ class CellsProof:
             box[i] = cell[k]
         for k, i in enumerate(self.reduced.e):
             swing = reach * self.reduced.widths[k] * ball(-1.0, 1.0)
-            box[i] = ends(cover.e[k] + swing)
+            lo, hi = ends(cover.e[k] + swing)
+            if self.region.tube:
+                least, most = self.region.tube[k]
+                lo, hi = min(max(lo, least), most), max(min(hi, most), least)
+            box[i] = (lo, hi)
         return room, tuple(box)
 
 

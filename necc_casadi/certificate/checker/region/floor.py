@@ -18,8 +18,9 @@ from necc_casadi.symbolic.zero import is_zero
 
 __all__ = ["FloorProof", "evaluated", "is_periodic"]
 
-#: Half a period, a little more than π; how often a box of angles may be halved.
-_HALF_PERIOD, _ANGLES = 3.15, 14
+#: Half a period, a little more than π; how often a box of angles, and one of s and e, may be
+#: halved.
+_HALF_PERIOD, _ANGLES, _TUBE = 3.15, 14, 24
 
 
 class FloorProof:
@@ -61,6 +62,23 @@ class FloorProof:
             return positive(slopes.transpose() * K * slopes + rest + below - F, 0)
 
         return by_bisection(cells, above, _ANGLES)
+
+    def holds_on(self, box: Box, tube: Box) -> bool:
+        """Whether F is below V_ee for s in the box (ds,) and e in the tube (de,)."""
+        F = self.F
+        if F is None:
+            return False
+        both: list[tuple[float, float]] = [(0.0, 0.0)] * self.energy.d
+        for places, sides in ((self.kept, box), (self.gone, tube)):
+            for i, side in zip(places, sides, strict=True):
+                both[i] = side
+
+        def above(piece: Box) -> bool:
+            H = self.energy.hessian(piece)
+            below = arb_mat([[H[i, j] for j in self.gone] for i in self.gone])
+            return positive(below - F, 0)
+
+        return by_bisection(tuple(both), above, _TUBE)
 
     def _of_controller(self, Hc: arb_mat) -> arb_mat:
         """What ∇²Hc adds to V_ee at least."""

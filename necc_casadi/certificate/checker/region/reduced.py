@@ -16,6 +16,7 @@ from flint import arb, arb_mat
 from necc_casadi.certificate.checker.arithmetic.balls import Box, ball, ends
 from necc_casadi.certificate.checker.arithmetic.definite import middle_of, positive
 from necc_casadi.certificate.checker.arithmetic.potential import Energy
+from necc_casadi.certificate.claims.regions import Side
 
 __all__ = ["Cover", "Reduced"]
 
@@ -50,7 +51,10 @@ class Cover(NamedTuple):
 
 
 class Reduced:
-    """V with the states e minimised out; V_ee ⪰ F is proved elsewhere."""
+    """V with the states e minimised out; V_ee ⪰ F is proved elsewhere.
+
+    Where a tube of e is named, it is proved there, and w is the least of V(s, ·) over it.
+    """
 
     def __init__(
         self,
@@ -58,8 +62,9 @@ class Reduced:
         kept: Sequence[int],
         floor: Sequence[Sequence[float]],
         start: Sequence[float],  # of Newton's method, in the states of `energy`
+        tube: Sequence[Side] = (),  # a side for each of e; empty: all e
     ) -> None:
-        self.energy, self._floor, self._start = energy, floor, start
+        self.energy, self._floor, self._start, self.tube = energy, floor, start, tuple(tube)
         self.s = list(kept)
         self.e = [i for i in range(energy.d) if i not in self.s]
         self.factor = self._factor(np.array(floor, float).reshape(len(self.e), len(self.e)))
@@ -72,7 +77,7 @@ class Reduced:
 
     def over(self, energy: Energy) -> Reduced:
         """The same for another V with the same V_ee: what was guessed may serve there too."""
-        other = Reduced(energy, self.s, self._floor, self._start)
+        other = Reduced(energy, self.s, self._floor, self._start, self.tube)
         other._hints = self._hints
         return other
 
@@ -80,7 +85,18 @@ class Reduced:
         """The same with one state more that is not minimised out."""
         rows = [k for k, i in enumerate(self.e) if i != position]
         floor = [[self._floor[a][b] for b in rows] for a in rows]
-        return Reduced(self.energy, sorted([*self.s, position]), floor, self._start)
+        tube = [self.tube[a] for a in rows] if self.tube else ()
+        return Reduced(self.energy, sorted([*self.s, position]), floor, self._start, tube)
+
+    def within_tube(self, e: Sequence[arb]) -> bool:
+        """Whether e is inside the tube, off its sides."""
+        return not self.tube or all(
+            bool(lo < v) and bool(v < hi) for v, (lo, hi) in zip(e, self.tube, strict=True)
+        )
+
+    def convex(self, cover: Cover | None) -> bool:
+        """Whether V(s, ·) has a critical point and ∇²w ≻ 0 on the cell of a cover."""
+        return cover is not None and cover.convex and self.within_tube(cover.e)
 
     def _factor(self, F: Numbers) -> arb_mat | None:
         """Lᵢ with LᵢFLᵢᵀ ⪰ (1 − 1e-9)I."""
@@ -146,6 +162,8 @@ class Reduced:
             arb(float(m)) + sum((a * d for a, d in zip(row, steps, strict=True)), arb(0))
             for m, row in zip(e_hat, slopes, strict=True)
         ]
+        if not self.within_tube(sheet):
+            return None, float("inf")
         box, at = self._boxes(cell, middle, e_hat, [v + ball(-room, room) for v in sheet])
         value, grad = self.energy.value_and_gradient(at)
         H = self.energy.hull(box)

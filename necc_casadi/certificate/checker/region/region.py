@@ -11,7 +11,7 @@ from functools import cached_property, partial
 import sympy as sp
 from flint import arb
 
-from necc_casadi.certificate.checker.arithmetic.balls import Box
+from necc_casadi.certificate.checker.arithmetic.balls import Box, ball
 from necc_casadi.certificate.checker.evidence import Checked, Evidence, Obligation
 from necc_casadi.certificate.checker.invariant_sets import OverBox, loop_is_defined
 from necc_casadi.certificate.checker.region.bounds import BoundProof, stays_positive
@@ -63,8 +63,9 @@ class ComponentProof(RegionProof):
     def cells(self) -> CellsProof:
         """The marked cells, w found from z̄ on."""
         start = [self.evidence.minimum[i] for i in self.region.active]
-        reduced = Reduced(self.energy, self.region.kept, self.region.floor, start)
-        return CellsProof(reduced, self.region)
+        region = self.region
+        reduced = Reduced(self.energy, region.kept, region.floor, start, region.tube)
+        return CellsProof(reduced, region)
 
     @cached_property
     def _inertia(self) -> sp.Matrix:
@@ -105,7 +106,7 @@ class ComponentProof(RegionProof):
         s_bar = tuple(self.z_bar[i] for i in kept)
         return [
             ("V(z̄) < c", lambda: bool(self.bottom < region.level)),
-            ("V_ee ⪰ F for every e", lambda: floor.holds(region.box.whole)),
+            *self._is_convex(floor),
             ("the cells are apart", lambda: self.cells.are_apart()),
             ("z̄ is over the core, in marked cells", lambda: self.cells.hold_minimum(s_bar)),
             ("∇²w ≻ 0 on the core", lambda: self.cells.core_is_convex()),
@@ -118,6 +119,26 @@ class ComponentProof(RegionProof):
                 lambda: self._bounds.reach(dict(enumerate(self.reach))),
             ),
             ("everything is smooth there", lambda: loop_is_defined(self.model, self.reach)),
+        ]
+
+    def _is_convex(self, floor: FloorProof) -> list[Obligation]:
+        """V_ee ⪰ F for every e; or in the tube, on whose sides V > c, with z̄ inside."""
+        whole, tube = self.region.box.whole, self.region.tube
+        if not tube:
+            return [("V_ee ⪰ F for every e", lambda: floor.holds(whole))]
+        e = [i for i in range(self.energy.d) if i not in self.region.kept]
+        at = [ball(*self.z_bar[i]) for i in e]
+        return [
+            ("V_ee ⪰ F in the tube", lambda: floor.holds_on(whole, tube)),
+            ("z̄ is in the tube", lambda: self.cells.reduced.within_tube(at)),
+            (
+                "V > c on the sides of the tube",
+                lambda: all(
+                    self._bounds.state_stays(i, end)
+                    for i, side in zip(e, tube, strict=True)
+                    for end in side
+                ),
+            ),
         ]
 
     def _has_inertia(self) -> bool:
@@ -144,6 +165,10 @@ class ComponentProof(RegionProof):
         if position in self.region.kept:
             a, b = self.region.box.whole[self.region.kept.index(position)]
             return lo <= a and b <= hi
+        if self.region.tube:
+            e = [k for k in range(self.energy.d) if k not in self.region.kept]
+            least, most = self.region.tube[e.index(position)]
+            return lo <= least and most <= hi
         return all(self._bounds.state_stays(position, end) for end in (lo, hi))
 
 

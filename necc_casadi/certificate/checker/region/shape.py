@@ -55,6 +55,8 @@ def check_region_shape(region: Region, count: int) -> None:
         and all(v > 0 for v in box.side)
         and 0 < box.parts <= _MOST_PARTS
         and box.parts & (box.parts - 1) == 0
+        and len(region.tube) in (0, len(region.floor))
+        and all(-math.inf < lo < hi < math.inf for lo, hi in region.tube)
     )
     if not sound:
         raise ValueError("the box of the region's cells is none")

@@ -9,7 +9,7 @@ inertia: (A⁻¹)ᵢᵢ < t if and only if A − eᵢeᵢᵀ/t ≻ 0. Where Φ�
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -251,7 +251,7 @@ class Bounds:
         sigma = sp.simplify(1 / self.inertia.inv()[k, k])
         half = sp.Rational(*reach.as_integer_ratio()) ** 2 / 2
         held = Potential(potential.design, potential.resting, half * sigma)
-        raised = Reduced(held, self.reduced.kept, self.reduced.gone, self.reduced.floor)
+        raised = replace(self.reduced, potential=held)
         cells = leaves.boxes[np.flatnonzero(leaves.marked)]
         for _ in range(_HALVINGS):
             cover, own = raised.cover(cells), self.reduced.cover(cells)
@@ -287,11 +287,14 @@ class Bounds:
         cells = leaves.boxes[np.flatnonzero(leaves.marked)]
         for _ in range(_HALVINGS):
             faces = Interval(self._with(held, cells.lo, i, end), self._with(held, cells.hi, i, end))
-            cover, own = held.cover(faces), self.reduced.cover(cells)
-            clear = (cover.ok & (cover.w.lo > level)) | (own.ok & (own.w.lo > level))
-            if clear.all():
+            cover = held.cover(faces)
+            cells = cells[np.flatnonzero(~(cover.ok & (cover.w.lo > level)))]
+            if not cells.shape[0]:
                 return True
-            cells = halves(cells[np.flatnonzero(~clear)])
+            own = self.reduced.cover(cells)
+            cells = halves(cells[np.flatnonzero(~(own.ok & (own.w.lo > level)))])
+            if not cells.shape[0]:
+                return True
         return False
 
     def _held(self, i: int) -> Reduced:
@@ -299,8 +302,10 @@ class Bounds:
         kept = tuple(sorted((*self.reduced.kept, i)))
         gone = tuple(k for k in self.reduced.gone if k != i)
         rows = [k for k, j in enumerate(self.reduced.gone) if j != i]
-        floor = self.reduced.floor[np.ix_(rows, rows)]
-        return Reduced(self.reduced.potential, kept, gone, floor)
+        floor, tube = self.reduced.floor[np.ix_(rows, rows)], self.reduced.tube
+        return Reduced(
+            self.reduced.potential, kept, gone, floor, None if tube is None else tube[rows]
+        )
 
     def _with(self, held: Reduced, s: Vector, i: int, end: float) -> Vector:
         """Points of the kept states with state i at its bound."""

@@ -109,7 +109,9 @@ class _Search:
     @cached_property
     def _landscape(self) -> Landscape:
         every = tuple(range(len(self.curved.symbols)))
-        return Landscape(self.curved.potential.design, self.curved.potential.active, (), every)
+        potential = self.curved.potential
+        design = potential.design
+        return Landscape(design.lyapunov, design.z_star, potential.active, (), every)
 
     @cached_property
     def _y_bar(self) -> Vector:

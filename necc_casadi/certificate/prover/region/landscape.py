@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 
 from necc_casadi.arrays import Vector
-from necc_casadi.designs.design import Design
+from necc_casadi.lyapunov.lyapunov import LyapunovFunction
 
 __all__ = ["Landscape", "Minima"]
 
@@ -36,7 +36,8 @@ class Minima:
 class Landscape:
     """V in the active states y, the others at rest, split into y = (s, e)."""
 
-    design: Design
+    lyapunov: LyapunovFunction
+    z_star: Vector  # (N,)
     active: tuple[int, ...]  # the states y, indices in z
     kept: tuple[int, ...]  # s, positions in y
     gone: tuple[int, ...]  # e, positions in y
@@ -44,9 +45,9 @@ class Landscape:
     @cached_property
     def _functions(self) -> tuple[ca.Function, ca.Function]:
         y = ca.MX.sym("y", len(self.active))
-        z = ca.MX.zeros(self.design.loop.n)
+        z = ca.MX.zeros(len(self.z_star))
         z[list(self.active)] = y
-        V = self.design.lyapunov(z)
+        V = self.lyapunov(z)
         hess, grad = ca.hessian(V, y)
         both = ca.Function("jet", [y], [V, grad, ca.densify(hess)])
         return ca.Function("V", [y], [V]).map(_ROWS), both.map(_ROWS)
@@ -86,13 +87,13 @@ class Landscape:
 
     def states(self, s: Vector, e: Vector) -> Vector:
         """States z (B, N), the momenta at rest, from s (B, ds) and e (B, de)."""
-        z = np.zeros((len(s), self.design.loop.n))
+        z = np.zeros((len(s), len(self.z_star)))
         z[:, list(self.active)] = self.joined(s, e)
         return z
 
     def minima(self, s: Vector, start: Vector | None = None) -> Minima:
         """ε, w and their derivatives at points s (B, ds), by Newton's method from `start` or ξ*."""
-        e = np.repeat(self.design.z_star[list(self.active)][list(self.gone)][None], len(s), 0)
+        e = np.repeat(self.z_star[list(self.active)][list(self.gone)][None], len(s), 0)
         e = e if start is None else start.copy()
         with np.errstate(all="ignore"):
             if self.gone:

@@ -214,13 +214,13 @@ def _cut(reduced: Reduced, leaves: Leaves, needed: Truth) -> Leaves:
 def _core(reduced: Reduced, base: Base, s_bar: Interval) -> Interval | None:
     """The largest box s̄ ± share of the sides on which ∇²w ≻ 0 is proved."""
     d = len(base.lo)
-    if d == 0:
-        return base.box  # V_ee ≻ 0 says it all
+    if d == 0:  # V_ee ≻ 0 says it all
+        return base.box if reduced.convex_on(base.box[None]) else None
     for share in _CORE_SHARES:
         half = share * base.side / 2
         box = Interval(s_bar.mid - half, s_bar.mid + half)
         box = Interval(np.maximum(box.lo, base.lo), np.minimum(box.hi, base.box.hi))
         holds = bool(((box.lo < s_bar.lo) & (s_bar.hi < box.hi)).all())
-        if holds and reduced.cover(subdivide(box, _CORE[d])).convex.all():
+        if holds and reduced.convex_on(subdivide(box, _CORE[d])):
             return box
     return None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import islice
@@ -23,6 +24,7 @@ from necc_casadi.certificate.prover.region.obstacle import (
 )
 from necc_casadi.certificate.prover.region.reduced import Reduced
 from necc_casadi.certificate.prover.region.split import Splits
+from necc_casadi.certificate.prover.region.tube import bent_split, convex_over, tube_around
 
 __all__ = ["Component", "Components", "sides"]
 
@@ -30,14 +32,19 @@ __all__ = ["Component", "Components", "sides"]
 #: to split that are tried: cells that tell w from a pass grow in number with both.
 _FIRST_SHARE = {0: 0.999, 1: 0.995, 2: 0.99, 3: 0.98}
 _SHARES = (0.97, 0.95, 0.9, 0.8, 0.5, 0.2, 0.05)
+_TUBE_SHARES = (0.95, 0.8, 0.5)
 _SPLITS = 3
 #: How often the box of the search may grow, and by which share of its sides.
 _GROWTHS, _WIDER = 8, 0.5
 #: How often the domain is doubled where nothing ends the component, and V has no form by which the
 #: whole space could be proved.
 _DOUBLINGS = 4
+#: A split, the box of the proof, the search and its level → the split with a floor that fits.
+_Fit = Callable[[Bounds, Base, Search, float], Bounds | None]
 #: The part of the way to the obstacle in which the component must stay off the box's border.
 _INNER = 0.999
+#: What a tube holds, as a multiple of the level.
+_NEXT = 1.05
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +76,8 @@ class Component:
             active=reduced.potential.active,
             kept=reduced.kept,
             floor=rows(reduced.floor),
-            bends=self.bounds.splits.bends,
+            bends=(None, None) if reduced.tube is not None else self.bounds.splits.bends,
+            tube=() if reduced.tube is None else sides(reduced.tube),
             box=CellBox(numbers(base.lo), numbers(base.side), base.parts),
             core=sides(leaves.core),
             cells=packed((int(leaves.depth[k]), tuple(map(int, leaves.index[k]))) for k in marked),
@@ -115,7 +123,7 @@ class Components:
     def candidates(self) -> list[Bounds]:
         """Ways to split the states, the fewest kept first."""
         found = islice(self._splits.candidates(self._around), _SPLITS)
-        return [Bounds(reduced, self._splits, self.bounds) for reduced in found]
+        return [self._bounded(reduced) for reduced in found]
 
     def largest(self) -> Component | None:
         """The component just below its obstacle; None where none is proved."""
@@ -124,20 +132,32 @@ class Components:
         if not ((least < self.z_bar.lo) & (self.z_bar.hi < most)).all():
             return None
         found = map(self._below_obstacle, self.candidates)
-        return next((component for component in found if component is not None), None)
+        best = next((component for component in found if component is not None), None)
+        if best is not None and best.obstacle.kind != "arithmetic":
+            return best
+        split = bent_split(self._splits)
+        tubed = None if split is None else self._below_obstacle(self._bounded(split), _tubed)
+        return max((c for c in (best, tubed) if c is not None), key=_level, default=None)
 
-    def _below_obstacle(self, bounds: Bounds) -> Component | None:
+    def _bounded(self, reduced: Reduced) -> Bounds:
+        return Bounds(reduced, self._splits, self.bounds)
+
+    def _below_obstacle(self, bounds: Bounds, fit: _Fit | None = None) -> Component | None:
         found, obstacle = self._explored(bounds, np.inf)
         if obstacle is None:
-            return self._grown(bounds)
+            return self._grown(bounds) if fit is None else None
         height = obstacle.level - self.bottom
         if not height > 0:
             return None
         obstacle = judged(self.potential, obstacle)
-        for share in (_FIRST_SHARE[len(bounds.reduced.kept)], *_SHARES):
-            room = self.bottom + max(share, _INNER) * height
+        shares = _SHARES if fit is None else _TUBE_SHARES
+        for share in (_FIRST_SHARE[len(bounds.reduced.kept)], *shares):
+            # a tube is convex the better the less it has to hold
+            inner = _INNER if fit is None else min(_INNER, _NEXT * share)
+            room = self.bottom + max(share, inner) * height
             named = obstacle if share >= NEAR_ENOUGH else replace(obstacle, kind="arithmetic")
-            component = self._at(bounds, found, self.bottom + share * height, room, named)
+            level = self.bottom + share * height
+            component = self._at(bounds, found, level, room, named, fit)
             if component is not None:
                 return component
         return None
@@ -168,13 +188,19 @@ class Components:
         return None
 
     def _at(
-        self, bounds: Bounds, found: Search, level: float, room: float, obstacle: Obstacle
+        self,
+        bounds: Bounds,
+        found: Search,
+        level: float,
+        room: float,
+        obstacle: Obstacle,
+        fit: _Fit | None = None,
     ) -> Component | None:
         kept = list(bounds.reduced.kept)
         if not (found.levels <= room).any():
             return None
         base = _base(bounds, *found.around(room))
-        fitting = _refloored(bounds, base)
+        fitting = (fit or _refloored)(bounds, base, found, room)
         if fitting is None:
             return None
         leaves = prove_component(
@@ -228,7 +254,11 @@ def _base(bounds: Bounds, lo: Vector, hi: Vector) -> Base:
     return Base.of(lo, side)
 
 
-def _refloored(bounds: Bounds, base: Base) -> Bounds | None:
+def _level(component: Component) -> float:
+    return component.level
+
+
+def _refloored(bounds: Bounds, base: Base, found: Search, level: float) -> Bounds | None:
     """The same split with a floor that holds for s in the box of the proof."""
     reduced = bounds.reduced
     d = len(reduced.kept) + len(reduced.gone)
@@ -236,3 +266,21 @@ def _refloored(bounds: Bounds, base: Base) -> Bounds | None:
     lo[list(reduced.kept)], hi[list(reduced.kept)] = base.lo, base.box.hi
     fitting = bounds.splits.split(reduced.kept, Interval(lo, hi))
     return None if fitting is None else Bounds(fitting, bounds.splits, bounds.bounds)
+
+
+def _tubed(bounds: Bounds, base: Base, found: Search, level: float) -> Bounds | None:
+    """The same split with a tube that is to hold the component, and a floor that holds there."""
+    reduced, active = bounds.reduced, list(bounds.reduced.potential.active)
+    tube = tube_around(reduced, found, level)
+    if tube is None:
+        return None
+    gone = [active[i] for i in reduced.gone]
+    lo = np.maximum(tube.lo, bounds.bounds.lo[gone])
+    tube = Interval(lo, np.minimum(tube.hi, bounds.bounds.hi[gone]))
+    y_bar = reduced.potential.design.z_star[active]
+    floor = convex_over(reduced, base.box, tube, y_bar)
+    if floor is None:
+        return None
+    own = Interval(bounds.bounds.lo.copy(), bounds.bounds.hi.copy())
+    own.lo[gone], own.hi[gone] = tube.lo, tube.hi
+    return Bounds(replace(reduced, floor=floor, tube=tube), bounds.splits, own)

@@ -94,17 +94,22 @@ class Cover:
 
 @dataclass(frozen=True, eq=False)
 class Reduced:
-    """V with the states e minimised out; F ⪯ V_ee for every e and every s in question."""
+    """V with the states e minimised out; F ⪯ V_ee for every e and every s in question.
+
+    With a tube E, for e in that box only: w is the least of V(s, ·) over E.
+    """
 
     potential: Potential
     kept: tuple[int, ...]  # s, positions in potential.active
     gone: tuple[int, ...]  # e
     floor: Vector  # F, (de, de)
+    tube: Interval | None = None  # E, (de,); None: all e
 
     @cached_property
     def landscape(self) -> Landscape:
         """V in floating point."""
-        return Landscape(self.potential.design, self.potential.active, self.kept, self.gone)
+        design, active = self.potential.design, self.potential.active
+        return Landscape(design.lyapunov, design.z_star, active, self.kept, self.gone)
 
     @cached_property
     def inverse_factor(self) -> Vector:
@@ -160,6 +165,17 @@ class Reduced:
             result = result.replaced(again, found)
         return result
 
+    def _within_tube(self, e: Interval) -> Truth:
+        """Which boxes (B, de) are in the tube's inside."""
+        if self.tube is None:
+            return np.ones(e.shape[0], dtype=bool)
+        return np.asarray(((self.tube.lo < e.lo) & (e.hi < self.tube.hi)).all(-1))
+
+    def convex_on(self, cells: Interval) -> bool:
+        """Whether V(s, ·) has a critical point and ∇²w ≻ 0 on all cells (B, ds)."""
+        cover = self.cover(cells)
+        return bool((cover.convex & self._within_tube(cover.e)).all())
+
     def _once(self, cells: Interval, room: Vector) -> tuple[Cover, Vector]:
         """The enclosure where ε stays within `room` (B,) of the sheet, and how far it may be."""
         s, e = list(self.kept), list(self.gone)
@@ -168,6 +184,7 @@ class Reduced:
         guess = self.landscape.minima(middle)
         e_hat, A = guess.e, np.nan_to_num(guess.tangent)
         sheet = point(e_hat) + matmul(A, delta[..., None])[..., 0]
+        within = self._within_tube(sheet)
         lo, hi = np.empty((B, len(s) + len(e))), np.empty((B, len(s) + len(e)))
         lo[:, s], hi[:, s] = cells.lo, cells.hi
         lo[:, e], hi[:, e] = sheet.lo - room[:, None], sheet.hi + room[:, None]
@@ -198,6 +215,7 @@ class Reduced:
         scaled_B = matmul(self.inverse_factor, B_) * (1 + _COMPENSATION)
         schur = G - matmul(_transposed(scaled_B), scaled_B)
         ok = np.asarray((rho <= room[:, None]).all(-1) & np.isfinite(w.lo) & np.isfinite(w.hi))
+        ok &= within
         return Cover(ok, w, gradient, turned, schur, sheet + error), rho
 
 

@@ -58,6 +58,10 @@ class Splits:
         functions = self.potential.design.casimirs.functions
         return sp.Matrix([[sp.diff(c, s) for s in self.symbols] for c in functions])
 
+    def bends_with(self, symbol: sp.Symbol) -> bool:
+        """Whether ∇²H or ∇c depends on a state."""
+        return bool(self._hessian.has(symbol) or self._slopes.has(symbol))
+
     @cached_property
     def _network_floors(
         self,
