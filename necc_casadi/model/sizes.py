@@ -16,7 +16,7 @@ from functools import cached_property
 import numpy as np
 import sympy as sp
 
-from necc_casadi.arrays import Vector
+from necc_casadi.arrays import Truth, Vector
 from necc_casadi.model.closed_loop import ClosedLoop
 from necc_casadi.model.control_affine import Preliminary
 from necc_casadi.model.controller import Controller
@@ -200,6 +200,7 @@ def _behind_feedback(
     slopes = _slopes(loop, casimirs, x_star, xi)
     known = _given(loop)
     inner = _controller_sizes(loop, known, slopes, state, energy, inputs, xi)
+    state = np.where(_free(plant, known, x_star), _as_seen(slopes, state, inner), state)
     everything = _sound(np.concatenate([state, inner]))
     return Sizes(
         state=everything,
@@ -209,6 +210,25 @@ def _behind_feedback(
         casimir=_casimir_sizes(slopes, everything),
         guessed=guessed,
     )
+
+
+def _free(plant: Plant, known: Mapping[str, float], x_star: Mapping[sp.Symbol, sp.Expr]) -> Truth:
+    """States at 0 in which nothing of the plant repeats or is displaced, and nobody gave a size."""
+    used = plant.drift.free_symbols | plant.directions.free_symbols
+    return np.array([s not in used and str(s) not in known and x_star[s] == 0 for s in plant.x])
+
+
+def _as_seen(slopes: Vector, state: Vector, inner: Vector) -> Vector:
+    """Sizes of plant states at which a Casimir is as large as the controller states are, if more.
+
+    A wheel that balances a pendulum turns many times: 1 rad of it is little.
+    """
+    n = len(state)
+    reach = np.max(slopes[:, n:] * inner, axis=1, initial=0.0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        seen = np.where(slopes[:, :n] > 0, reach[:, None] / slopes[:, :n], np.inf)
+    least = seen.min(axis=0, initial=np.inf)
+    return np.where(np.isfinite(least), np.fmax(state, least), state)
 
 
 def with_casimirs(

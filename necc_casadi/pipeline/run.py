@@ -78,6 +78,10 @@ __all__ = ["run_design"]
 _STRUCTURES = 2
 
 
+#: Multiple of LQR's cost up to which the first one will do.
+_CHEAP = 2.0
+
+
 _RESPONSES = 10
 
 
@@ -239,8 +243,10 @@ def _answered(task: _Task, options: Options, say: Say) -> Answer:
 
 def _chosen(task: _Task, clock: Clock) -> tuple[Choice, Method]:
     """Train, damp and prove what the options leave to choose from, and keep one."""
-    made = []
+    made: list[tuple[Choice, Method]] = []
     for method in (task.method, *task.found.alternatives):
+        if made and _is_good(made[0][0].kept):
+            break
         choice = choose(
             method.loop, method.casimirs, method.verdict, task.x_star, task.options, clock.say
         )
@@ -248,6 +254,12 @@ def _chosen(task: _Task, clock: Clock) -> tuple[Choice, Method]:
         for stage, seconds in choice.seconds.items():
             clock.timings[stage] = clock.timings.get(stage, 0.0) + seconds
     return max(made, key=lambda pair: _fitness(pair[0].kept))
+
+
+def _is_good(kept: Judged) -> bool:
+    """Whether another structure need not be tried."""
+    cheap = kept.cost_to_lqr is not None and kept.cost_to_lqr <= _CHEAP
+    return cheap and kept.proved and not response_faults(kept)
 
 
 def _fitness(kept: Judged) -> tuple[bool, int, float]:
