@@ -223,10 +223,10 @@ def test_errors_are_a_tree_with_code_fault_and_remedy():
 
 PUBLIC = [
     "Casimirs", "Certificate", "ClosedLoop", "Controller", "Design", "Model", "Options", "Plant",
-    "Trajectory", "Verdict", "__version__", "certify", "choose", "design", "export_c",
-    "find_casimirs", "interconnect", "judge", "load_model", "make_controller",
+    "Result", "RunOptions", "Trajectory", "Verdict", "__version__", "certify", "choose", "design",
+    "export_c", "find_casimirs", "interconnect", "judge", "load_model", "make_controller",
     "make_plant", "paper_options",
-    "parse_target", "simulate",
+    "parse_target", "run", "simulate",
 ]  # fmt: skip
 
 

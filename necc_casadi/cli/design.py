@@ -10,7 +10,15 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from necc_casadi.cases import Activation, CasimirForm, Integrator, PhiForm, Precision, Shape
+from necc_casadi.cases import (
+    Activation,
+    CasimirForm,
+    Format,
+    Integrator,
+    PhiForm,
+    Precision,
+    Shape,
+)
 from necc_casadi.cli.console import Progress, echo, echo_json
 from necc_casadi.cli.options import (
     Positive,
@@ -28,7 +36,7 @@ from necc_casadi.cli.options import (
     task_option,
     widths,
 )
-from necc_casadi.cli.terminal import GroupedCommand, NamedPath, columns, run
+from necc_casadi.cli.terminal import GroupedCommand, NamedPath, columns, run, said_again
 
 if TYPE_CHECKING:
     from necc_casadi.pipeline.request import Request
@@ -150,7 +158,15 @@ __all__ = ["design_command"]
 @numbers(solver_option, "--controller-damping", "Dc, likewise.  [default: chosen]")
 @output_option("--out", type=NamedPath(), help="Folder to write.  [default: <model>-design]")
 @json_option("One JSON object on stdout, nothing else there.")
+@output_option("-v", "--verbose", is_flag=True, help="Say every claim, file and time.")
 @output_option("--no-plots", is_flag=True, help="Draw no figures.")
+@output_option(
+    "--format",
+    type=choice(Format),
+    default="png",
+    show_default=True,
+    help="Of the figures; in PDF, letters stay letters in fonts that are in the file.",
+)
 @output_option(
     "--sweep-a",
     metavar="LO:HI:N",
@@ -222,7 +238,7 @@ def _design(model: Path, **options: Any) -> int:
     if options["as_json"]:
         echo_json(to_json(found))
     else:
-        echo(summary(found, columns()))
+        echo(summary(found, columns(), verbose=options["verbose"]))
     return found.exit_code
 
 
@@ -235,6 +251,7 @@ def _request(model: Path, options: Mapping[str, Any]) -> Request:
         "out": options["out"] or Path(f"{model.stem}-design"),
         "plots": not options["no_plots"],
         "verbose": options["debug"],
+        "command": said_again(model),
     }
 
     def chosen(kind: type[Choices] | type[Request]) -> dict[str, Any]:

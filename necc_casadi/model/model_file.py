@@ -23,6 +23,7 @@ from necc_casadi.errors import InputError, ModelError, OptionError
 from necc_casadi.model.closed_loop import ClosedLoop, interconnect
 from necc_casadi.model.controller import Controller, default_controller, make_controller
 from necc_casadi.model.cost import weight_matrix
+from necc_casadi.model.parametric import Parametric
 from necc_casadi.model.plant import Plant, make_plant
 from necc_casadi.model.sizes import input_names
 from necc_casadi.symbolic.expressions import exact, parse_number
@@ -71,6 +72,7 @@ class Model:
     input_cost: Vector | None = None  # m × m, ≻ 0
     params: Mapping[str, sp.Expr] = field(default_factory=dict)  # values, exact
     notes: tuple[str, ...] = ()  # names in the file that look mistyped
+    parametric: Parametric | None = None  # the plant before values were put in; None: no parameter
 
 
 def load_model(path: str | Path, overrides: Mapping[str, str] | None = None) -> Model:
@@ -201,7 +203,17 @@ def _build(path: Path, space: dict[str, Any], overrides: Mapping[str, str]) -> M
         state_cost=_weight(file, "state_cost", plant.n, strict=False),
         input_cost=_weight(file, "input_cost", plant.m, strict=True),
         params=file.parameters,
+        parametric=_parametric(file),
     )
+
+
+def _parametric(file: _Reader) -> Parametric | None:
+    """The plant with its parameters as symbols; it was checked with their values."""
+    if not file.parameters:
+        return None
+    J, R, G = (sp.ImmutableMatrix(file.unvalued(name)) for name in ("J", "R", "G"))
+    H = file.unvalued("H")
+    return Parametric(J, R, G, H[0, 0] if isinstance(H, sp.MatrixBase) else H, file.parameters)
 
 
 class _Reader:
@@ -244,6 +256,14 @@ class _Reader:
         expr = exact(value)
         return expr.xreplace({s: self._values.get(s, _real(s)) for s in expr.free_symbols})
 
+    def unvalued(self, name: str) -> Any:
+        """An entry of the plant with its parameters as symbols."""
+        value = self.space[name]
+        whole = sp.Matrix(value) if isinstance(value, (list, tuple, np.ndarray)) else value
+        if isinstance(whole, sp.MatrixBase):
+            return whole.applyfunc(_exactly)
+        return _exactly(whole)
+
     def attempt(self, name: str) -> Any:
         """An entry of the plant; what cannot be read is named by make_plant."""
         try:
@@ -273,6 +293,12 @@ def _symbols(value: Any, label: str) -> list[sp.Symbol]:
     for symbol in symbols:
         _printable(str(symbol), f"a name in {label}")
     return symbols
+
+
+def _exactly(value: Any) -> sp.Expr:
+    """An entry with exact numbers, of real symbols."""
+    expr = exact(value)
+    return expr.xreplace({s: _real(s) for s in expr.free_symbols})
 
 
 def _real(symbol: sp.Symbol) -> sp.Symbol:

@@ -7,9 +7,8 @@ together.
 from __future__ import annotations
 
 import contextlib
-import re
 import time
-from collections.abc import Sequence
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -23,11 +22,12 @@ from necc_casadi.certificate.claims.certificate import Certificate
 from necc_casadi.choice.choose import Choice, choose
 from necc_casadi.designs.design import Design
 from necc_casadi.designs.outcome import Start
+from necc_casadi.designs.plant_file import PLANT_FILE, plant_text
 from necc_casadi.errors import InputError
 from necc_casadi.export.sampled_loop import SampledLoop
 from necc_casadi.files import LISTING, check_writable, write_text
 from necc_casadi.folders import whole_folder
-from necc_casadi.model.model_file import Model, load_model
+from necc_casadi.model.model_file import Model
 from necc_casadi.model.spot_checks import check_model_at
 from necc_casadi.performance.shares import sampled_share
 from necc_casadi.pipeline.advice import (
@@ -41,22 +41,13 @@ from necc_casadi.pipeline.advice import (
 from necc_casadi.pipeline.clock import Clock, Say
 from necc_casadi.pipeline.request import (
     Request,
+    read_model,
     read_options,
-    read_parameters,
     read_target,
     with_structure,
 )
 from necc_casadi.pipeline.sweep import sweep_a
-from necc_casadi.report.figures import (
-    lyapunov_figure,
-    region_boundary,
-    region_figure,
-    responses_figure,
-    sweep_figure,
-    write_figure,
-)
 from necc_casadi.report.findings import Findings
-from necc_casadi.report.landscape_figure import landscape_figure
 from necc_casadi.report.sweep_point import SweepPoint
 from necc_casadi.simulation.convergence import simulated_share
 from necc_casadi.simulation.responses import Trajectory, random_states, simulate
@@ -69,14 +60,14 @@ from necc_casadi.verdict.verdict import Verdict
 if TYPE_CHECKING:
     from necc_casadi.performance.measure import Performance
 
-__all__ = ["run_design"]
+__all__ = ["REPORT", "run_design", "write_run"]
+
+
+#: The page that shows a run.
+REPORT = "report.html"
 
 
 _RESPONSES = 10
-
-
-#: Points of a response in the plane of two states.
-_POINTS = 251
 
 
 #: A parameter that is not known well, over the one of the model.
@@ -88,11 +79,13 @@ _PATIENCE = 10.0
 
 
 #: A file of others in one of these places is found before any training.
-_EXPECTED = ("design.json", "certificate.json", "c/necc.h", "c/necc.c")
+_EXPECTED = ("design.json", "certificate.json", "c/necc.h", "c/necc.c", REPORT)
 
 
 def run_design(request: Request, say: Say) -> Findings:
     """Judge the target and, where it is assignable, design, certify, simulate and write.
+
+    Nothing is written where the request names no folder.
 
     Raises
     ------
@@ -107,33 +100,62 @@ def run_design(request: Request, say: Say) -> Findings:
         task.x_star,
         task.casimirs,
         task.verdict,
+        parametric=task.model.parametric,
         notes=task.notes,
         timings=dict(clock.timings),
     )
     learning = task.options.learn_casimir and task.verdict.assignable is not False
     if not (task.verdict.assignable or learning) or request.check:
         return found
-    figures = ("figures/lyapunov.png",) if request.plots else ()
-    with whole_folder(request.out, (*_EXPECTED, *figures)) as folder:
-        return _made(request, task, found, folder, clock)
+    if request.out is None:
+        return _studied(request, task, found, _chosen(task, clock), clock)
+    with whole_folder(request.out, _expected(request)) as folder:
+        choice = _chosen(task, clock)
+        with ThreadPoolExecutor(1) as pool:  # compilers run while the loop is simulated and drawn
+            exported = pool.submit(
+                _exported, request, choice.design, choice.certificate, folder, clock
+            )
+            found = _studied(request, task, found, choice, clock)
+            return _written(request, found, folder, exported.result, clock)
 
 
-def _made(request: Request, task: _Task, found: Findings, folder: Path, clock: Clock) -> Findings:
-    """Everything after a favourable verdict; files go into `folder`."""
-    choice = _chosen(task, clock)
-    made, certificate = choice.design, choice.certificate
-    files = _saved(made, certificate, folder)
-    with ThreadPoolExecutor(1) as pool:  # compilers run while the loop is simulated and drawn
-        exported = pool.submit(_exported, request, made, certificate, folder, clock)
-        motion, share = _simulated(made, clock), sampled_share(made, certificate)
-        sweep: tuple[SweepPoint, ...] = ()
-        if request.sweep_a is not None:
-            sweep = _swept(request.sweep_a, task, choice.kept.options, clock)
-        performance = _compared(request, task, made, clock) if request.compare else None
-        drawn = _drawn(
-            request, made, certificate, motion.responses, sweep, performance, folder, clock
+def write_run(request: Request, found: Findings, out: Path, say: Say) -> Findings:
+    """Write the folder of a run that was made without one.
+
+    Raises
+    ------
+    OutputError
+        When it cannot be written.
+    """
+    made, certificate = found.finished
+    clock = Clock(say, dict(found.timings))
+    with whole_folder(out, _expected(request)) as folder:
+        return _written(
+            request,
+            found,
+            folder,
+            lambda: _exported(request, made, certificate, folder, clock),
+            clock,
         )
-        export = exported.result()
+
+
+def _expected(request: Request) -> tuple[str, ...]:
+    """Paths at which a file of others is found before any training."""
+    figures = (f"figures/lyapunov.{request.format}",) if request.plots else ()
+    return (*_EXPECTED, *figures)
+
+
+def _studied(
+    request: Request, task: _Task, found: Findings, choice: Choice, clock: Clock
+) -> Findings:
+    """What is to be known of the design that is kept, nothing written."""
+    made, certificate = choice.design, choice.certificate
+    motion, share = _simulated(made, clock), sampled_share(made, certificate)
+    sweep: tuple[SweepPoint, ...] = ()
+    if request.sweep_a is not None:
+        sweep = _swept(request.sweep_a, task, choice.kept.options, clock)
+    sampling = _sampled(request, made)
+    warning = None if sampling is None else sampling.warning
     return replace(
         found,
         design=made,
@@ -142,23 +164,39 @@ def _made(request: Request, task: _Task, found: Findings, folder: Path, clock: C
         responses=motion.responses,
         domain_share=share,
         simulated_share=motion.share,
-        sampling=export.sampling,
+        sampling=sampling,
         asked=choice.kept.asked,
-        performance=performance,
+        performance=_compared(request, task, made, clock) if request.compare else None,
         sweep=sweep,
         notes=(
             *task.notes,
             *design_notes(made, task.options),
             *region_notes(certificate, share, task.options),
             *response_notes(motion.responses, _PATIENCE),
-            *export.notes,
-        ),
-        files=(
-            *(path.relative_to(folder).as_posix() for path in (*files, *export.files, *drawn)),
-            LISTING,
+            *(() if warning is None else (warning,)),
         ),
         timings=dict(clock.timings),
     )
+
+
+def _written(
+    request: Request,
+    found: Findings,
+    folder: Path,
+    exported: Callable[[], list[Path]],
+    clock: Clock,
+) -> Findings:
+    """Everything that is written, into `folder`; `exported` gives the files of the C code."""
+    made, certificate = found.finished
+    saved = [
+        made.save(folder / "design.json"),
+        write_text(folder / "certificate.json", certificate.to_json()),
+    ]
+    if found.parametric is not None:
+        saved.append(write_text(folder / PLANT_FILE, plant_text(made, found.parametric)))
+    drawn = _drawn(request, found, folder, clock)
+    files = [path.relative_to(folder).as_posix() for path in (*saved, *exported(), *drawn)]
+    return replace(found, files=(*files, LISTING), timings=dict(clock.timings))
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,9 +213,9 @@ class _Task:
 
 def _judged(request: Request, say: Say) -> _Task:
     """Read the model, find its Casimirs, judge the target."""
-    if not request.check:
+    if request.out is not None and not request.check:
         check_writable(request.out)
-    model = load_model(request.model, read_parameters(request.param))
+    model = read_model(request)
     options = read_options(request, model)
     x_star = read_target(model, request.target)
     sampled = check_model_at(model.loop, x_star)
@@ -221,14 +259,6 @@ def _chosen(task: _Task, clock: Clock) -> Choice:
     return choice
 
 
-def _saved(made: Design, certificate: Certificate, out: Path) -> list[Path]:
-    """Write the design and its certificate."""
-    return [
-        made.save(out / "design.json"),
-        write_text(out / "certificate.json", certificate.to_json()),
-    ]
-
-
 @dataclass(frozen=True, eq=False)
 class _Motion:
     """The design in time."""
@@ -248,61 +278,51 @@ def _simulated(made: Design, clock: Clock) -> _Motion:
         return _Motion(responses, simulated_share(made, made.momenta, made.seed))
 
 
-@dataclass(frozen=True)
-class _Export:
-    """Code that was written, and the loop that it makes with the sample time asked for."""
-
-    files: tuple[Path, ...]
-    sampling: SampledLoop | None
-
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """What to know about the sample time."""
-        warning = None if self.sampling is None else self.sampling.warning
-        return () if warning is None else (warning,)
-
-
 def _compared(request: Request, task: _Task, made: Design, clock: Clock) -> Performance:
     """Measure the design beside LQR and the optimum, and on plants that differ a little."""
     from necc_casadi.performance.measure import measure
 
-    given, values = read_parameters(request.param), task.model.params
     with clock.stage("compare", "comparing with LQR and the optimum"):
         others = {}
-        for name, value in values.items():
+        for name, value in task.model.params.items():
             if value != 0:
-                changed = {**given, name: sp.sstr(value * _LARGER)}
+                changed = f"{name}={sp.sstr(value * _LARGER)}"
                 with contextlib.suppress(InputError):  # no such plant: nothing to hold
-                    others[name] = load_model(request.model, changed).loop
+                    others[name] = read_model(request, changed).loop
         return measure(made, cost=task.options.cost(made.sizes, made.loop.plant.n), others=others)
 
 
 def _exported(
     request: Request, made: Design, certificate: Certificate, out: Path, clock: Clock
-) -> _Export:
-    """Write the C controller and what was asked for around it; look at the sampled loop."""
+) -> list[Path]:
+    """Write the C controller and what was asked for around it."""
     from necc_casadi.export.c_project import export_c
     from necc_casadi.export.fmu import export_fmu
     from necc_casadi.export.matlab import export_mex
-    from necc_casadi.export.sampled_loop import analyse_sampling
 
-    time, integrator = request.sample_time, request.integrator
     common: dict[str, Any] = {
         "real": request.real,
-        "sample_time": time,
-        "integrator": integrator,
+        "sample_time": request.sample_time,
+        "integrator": request.integrator,
         "prefix": request.prefix,
         "certificate": certificate,
     }
     with clock.stage("export", "writing the C controller"):
         files = export_c(made, out / "c", **common)
         if request.fmu:
-            name = re.sub(r"\W", "_", request.model.stem)
-            files.append(export_fmu(made, out / f"{name}.fmu", **common))
+            files.append(export_fmu(made, out / f"{request.word}.fmu", **common))
         if request.mex:
             files.append(export_mex(made, out / "matlab", request.prefix))
-    sampling = None if time is None else analyse_sampling(made, time, integrator)
-    return _Export(tuple(files), sampling)
+    return files
+
+
+def _sampled(request: Request, made: Design) -> SampledLoop | None:
+    """The loop that the C code makes with the sample time asked for."""
+    if request.sample_time is None:
+        return None
+    from necc_casadi.export.sampled_loop import analyse_sampling
+
+    return analyse_sampling(made, request.sample_time, request.integrator)
 
 
 def _swept(
@@ -317,40 +337,19 @@ def _swept(
         )
 
 
-def _drawn(
-    request: Request,
-    made: Design,
-    certificate: Certificate,
-    responses: Sequence[Trajectory],
-    sweep: Sequence[SweepPoint],
-    performance: Performance | None,
-    out: Path,
-    clock: Clock,
-) -> list[Path]:
-    """Draw what there is to see."""
-    if not request.plots:
-        return []
-    with clock.stage("figures", "drawing"):
-        figures = {
-            "lyapunov": lyapunov_figure(made),
-            "responses": responses_figure(made, responses),
-        }
-        if certificate.level is not None:
-            starts = region_boundary(made, certificate.level, certificate.reach)
-            inside = [simulate(made, start, made.xi_star, points=_POINTS) for start in starts]
-            figures["region"] = region_figure(made, certificate.level, inside, certificate.reach)
-        landscape = landscape_figure(made, certificate)
-        if landscape is not None:
-            figures["landscape"] = landscape
-        if performance is not None:
-            from necc_casadi.report.comparison_figures import frequency_figure, step_figure
+def _drawn(request: Request, found: Findings, out: Path, clock: Clock) -> list[Path]:
+    """Draw what there is to see, and write the page that shows it."""
+    from necc_casadi.report.gallery import figures_of
+    from necc_casadi.report.page import report
+    from necc_casadi.report.style import picture
 
-            compared = {
-                "step": step_figure(made, performance),
-                "loop": frequency_figure(made, performance),
-            }
-            figures |= {name: figure for name, figure in compared.items() if figure is not None}
-        if sweep:
-            figures["sweep"] = sweep_figure(made, sweep)
-        folder = out / "figures"
-        return [write_figure(figure, folder / f"{name}.png") for name, figure in figures.items()]
+    with clock.stage("figures", "drawing"):
+        figures = figures_of(found) if request.plots else {}
+        drawn = [
+            write_text(
+                out / "figures" / f"{name}.{request.format}", picture(figure, request.format)
+            )
+            for name, figure in figures.items()
+        ]
+        page = report(found, figures, request.command)
+        return [*drawn, write_text(out / REPORT, page)]

@@ -17,8 +17,10 @@ from necc_casadi.choice.fitness import response_faults, response_warnings
 from necc_casadi.designs.design import Design
 from necc_casadi.designs.error_bound import ACCEPTED_LOSS, natural_loss
 from necc_casadi.designs.measures import Measures, measure
+from necc_casadi.errors import OptionError
 from necc_casadi.export.sampled_loop import SampledLoop
 from necc_casadi.model.closed_loop import ClosedLoop
+from necc_casadi.model.parametric import Parametric
 from necc_casadi.report.sweep_point import SweepPoint
 from necc_casadi.simulation.responses import Trajectory
 from necc_casadi.verdict.verdict import Verdict
@@ -48,6 +50,7 @@ class Findings:
     asked: Asked | None = None  # of the response
     performance: Performance | None = None  # with --compare
     sweep: Sequence[SweepPoint] = ()
+    parametric: Parametric | None = None  # the plant with its parameters as symbols
     notes: tuple[str, ...] = ()
     files: tuple[str, ...] = ()  # relative to the folder that was written
     timings: Mapping[str, float] = field(default_factory=dict)  # s, by stage
@@ -56,6 +59,23 @@ class Findings:
     def measures(self) -> Measures | None:
         """What the design reached."""
         return None if self.design is None else measure(self.design)
+
+    @property
+    def finished(self) -> tuple[Design, Certificate]:
+        """The design and what is proved of it.
+
+        Raises
+        ------
+        OptionError
+            Where the run ended before a design.
+        """
+        if self.design is None or self.certificate is None:
+            raise OptionError(
+                "usage",
+                f"{self.loop.plant.name}: there is no design, the run ended {self.status}",
+                "The verdict says why, and what would work.",
+            )
+        return self.design, self.certificate
 
     @property
     def status(self) -> str:

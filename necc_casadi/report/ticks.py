@@ -11,6 +11,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import Formatter, FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 
+from necc_casadi.report.style import Drawing
+
 __all__ = ["engineering", "finished", "logarithmic", "panels", "scaled_label"]
 
 
@@ -48,7 +50,7 @@ def panels(rows: int, columns: int, panel: tuple[float, float], legend: float = 
     width = columns * (_LEFT + panel[0] + _RIGHT)
     below = _BELOW + legend
     height = _ABOVE + rows * panel[1] + (rows - 1) * _BETWEEN + below
-    figure = Figure(figsize=(width, height))
+    figure = Drawing(figsize=(width, height))
     figure.subplots_adjust(
         left=_LEFT / width,
         right=1 - _RIGHT / width,

@@ -1,0 +1,290 @@
+"""A run as one page of HTML that needs nothing else: no script, no network, no other file."""
+
+from __future__ import annotations
+
+import hashlib
+import html
+from collections.abc import Iterable, Mapping, Sequence
+from importlib import resources
+
+import sympy as sp
+from matplotlib.figure import Figure
+
+from necc_casadi.certificate.claims.certificate import Certificate
+from necc_casadi.designs.design import Design
+from necc_casadi.model.plant import Plant
+from necc_casadi.report import mathml
+from necc_casadi.report.compared import cells, error_lines
+from necc_casadi.report.findings import Findings
+from necc_casadi.report.style import inline_svg
+from necc_casadi.report.to_text import brief, facts, headline, mark
+
+__all__ = ["fragment", "report"]
+
+
+#: What each figure shows.
+_CAPTIONS = {
+    "lyapunov": "V − V(z̄) over two states, the others at the target.",
+    "responses": "Simulated responses from ten random states, inputs within their limits.",
+    "region": "The proved region, its slice through the target and its shadow over all states.",
+    "landscape": "The least V − V(z̄) over all states that are not shown, and what ends the region.",
+    "step": "From one size below the target, beside LQR and the optimum. Simulated.",
+    "loop": "The loop broken at the plant's input, Bode and Nyquist. Computed at z̄.",
+    "sweep": "Designs for several curvatures a asked of V at the target.",
+}
+
+
+#: What every claim is about, unless it says otherwise.
+_ABOUT = (
+    "Proved means by exact algebra or by interval arithmetic with outward rounding, about the "
+    "numbers stored in design.json, for the continuous-time loop of the model; inputs are not "
+    "clipped unless a claim says that clipping changes nothing. necc-certify proves each claim "
+    "again with other arithmetic."
+)
+
+
+#: What no claim is about.
+_BEYOND = (
+    "Nothing is claimed about the real plant where it differs from the model, about noise, delay "
+    "or wrong measurements, nor about the sampled loop of the C code. Responses, margins, costs "
+    "and shares are simulated or computed, not proved."
+)
+
+
+#: A page may load nothing at all.
+_POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:"
+
+
+def report(found: Findings, figures: Mapping[str, Figure], command: str = "") -> str:
+    """The page of a finished run: a function of the run's input alone.
+
+    Parameters
+    ----------
+    found
+        What the run found.
+    figures
+        By name, as they are to be shown.
+    command
+        What makes the same run again.
+
+    Raises
+    ------
+    OptionError
+        Where the run ended before a design.
+    """
+    made, certificate = found.finished
+    plant = made.loop.plant
+    sections = (
+        ("Model", _model(found)),
+        (
+            "Verdict and method",
+            _facts(found, ("target", "Casimirs", "verdict", "choice", "learned")),
+        ),
+        (
+            "Design",
+            _lyapunov(made) + _facts(found, ("sizes", "design", "minimum", "loop", "sampled")),
+        ),
+        ("What is proved", _claims(certificate) + _facts(found, ("region",))),
+        ("How it responds", _facts(found, ("asked", "NOT met", "responses", "starts"))),
+        ("Beside LQR and the optimum", _compared(found, plant)),
+        ("Figures", _figures(figures)),
+        ("Limits", f"<p>{html.escape(_BEYOND)}</p>" + _list(found.notes)),
+        ("Made with", _made_with(made, certificate, command)),
+    )
+    body = "\n".join(f"<section>\n<h2>{t}</h2>\n{c}\n</section>" for t, c in sections if c)
+    title = html.escape(headline(found))
+    outcome = html.escape(headline(found).removeprefix(f"{plant.name}: "))
+    return f"""<!DOCTYPE html>
+<html lang="en">
+<head>
+<meta charset="utf-8">
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<meta http-equiv="Content-Security-Policy" content="{_POLICY}">
+<link rel="icon" href="data:,">
+<title>{title}</title>
+<style>
+{_css()}</style>
+</head>
+<body>
+<h1>{html.escape(plant.name)}</h1>
+<p class="lead {_tone(found)}">{outcome}</p>
+{body}
+</body>
+</html>
+"""
+
+
+def _tone(found: Findings) -> str:
+    """How the outcome is coloured; its words say the same."""
+    if found.status != "certified":
+        return "missing"
+    return "open" if found.warnings else "proved"
+
+
+def fragment(found: Findings) -> str:
+    """A short table for a notebook: what the summary says, and the claims."""
+    lines = "".join(_fact(label, text) for label, text in brief(found) if label != "proved")
+    claims = "" if found.certificate is None else _claims(found.certificate)
+    return (
+        f"<div><p><b>{html.escape(headline(found))}</b></p><table><tbody>{lines}</tbody></table>"
+        f"{claims}</div>"
+    )
+
+
+def _css() -> str:
+    place = resources.files(f"{__package__}.templates").joinpath("report.css")
+    return place.read_text("utf-8")
+
+
+# --- mathematics ---------------------------------------------------------------------------------
+
+
+def _model(found: Findings) -> str:
+    """The plant and the controller, with the parameters of the model file where it has any."""
+    plant, controller = found.loop.plant, found.loop.controller
+    shown = found.parametric or plant
+    m, o = mathml, mathml.operator
+    x = m.column([m.row(s) for s in plant.x])
+    rate = m.column([f'<mover accent="true">{m.row(s)}<mo>˙</mo></mover>' for s in plant.x])
+    u = m.column([m.identifier(name) for name in _inputs(plant)])
+    gradient = f"<mo>∇</mo>{m.identifier('H')}"
+    parts = [
+        m.formula(
+            rate, o("="), m.matrix(sp.Matrix(shown.J - shown.R)), gradient, o("+"),
+            m.matrix(sp.Matrix(shown.G)), u,
+        ),
+        m.formula(m.identifier("H"), o("="), m.row(shown.H)),
+        m.formula(m.identifier("x"), o("="), x),
+    ]  # fmt: skip
+    if found.parametric is not None:
+        values = (
+            m.row(s) + o("=") + m.row(found.parametric.values[str(s)])
+            for s in found.parametric.symbols
+        )
+        parts.append(m.formula('<mo>,</mo><mspace width="0.6em"/>'.join(values)))
+    rates = m.column([f'<mover accent="true">{m.row(s)}<mo>˙</mo></mover>' for s in controller.xi])
+    energy = "<msub><mi>H</mi><mi>c</mi></msub>"
+    law = f"<msup><mi>G</mi><mi>T</mi></msup>{gradient}"
+    structure = m.matrix(sp.Matrix(controller.Jc - controller.Rc))
+    parts += [
+        "<p>Controller, with damping injected at both ports (v, v<sub>c</sub>):</p>",
+        m.formula(
+            rates, o("="), structure, f"<mo>∇</mo>{energy}", o("+"),
+            m.matrix(sp.Matrix(controller.Gc)),
+            f"<mrow><mo>(</mo>{law}<mo>+</mo><msub><mi>v</mi><mi>c</mi></msub><mo>)</mo></mrow>",
+        ),
+        m.formula(
+            m.column([m.identifier(name) for name in _inputs(plant)]), o("="), o("−"),
+            m.matrix(sp.Matrix(controller.Gc.T)), f"<mo>∇</mo>{energy}", o("+"), m.identifier("v"),
+        ),
+    ]  # fmt: skip
+    return "\n".join(parts)
+
+
+def _inputs(plant: Plant) -> list[str]:
+    return ["u"] if plant.m == 1 else [f"u{k + 1}" for k in range(plant.m)]
+
+
+def _lyapunov(design: Design) -> str:
+    """V in its form, with the Casimirs that it is made of."""
+    m, o = mathml, mathml.operator
+    names = [
+        f"<msub><mi>c</mi><mn>{k + 1}</mn></msub>" for k in range(len(design.casimirs.functions))
+    ]
+    listed = "<mo>,</mo>".join(names)
+    energy = "<msub><mi>H</mi><mi>c</mi></msub><mo>(</mo><mi>ξ</mi><mo>)</mo>"
+    network = f"<mi>K</mi><mo>(</mo>{listed}<mo>)</mo>"
+    if design.form.betas:
+        network = "<mi>K</mi><mo>(</mo><mo>∑</mo>" + (
+            "<msub><mi>β</mi><mi>i</mi></msub><mo>(</mo><msub><mi>c</mi><mi>i</mi></msub><mo>)</mo>"
+            "<mo>)</mo>"
+        )
+    inside = (m.identifier("H"), o("+"), energy)
+    value = [*inside, o("+"), network]
+    if design.form.phi is not None:
+        value = [m.identifier("Φ"), o("("), *inside, o(","), network, o(")")]
+    casimirs = [
+        m.formula(name, o("="), m.row(c))
+        for name, c in zip(names, design.casimirs.functions, strict=False)
+    ]
+    return "\n".join([m.formula(m.identifier("V"), o("="), *value), *casimirs])
+
+
+# --- tables --------------------------------------------------------------------------------------
+
+
+def _facts(found: Findings, labels: Sequence[str]) -> str:
+    """Rows of the summary by label; a row without one goes on with the row above."""
+    chosen, wanted = [], False
+    for label, text in facts(found):
+        wanted = label in labels if label else wanted
+        if wanted:
+            chosen.append(_fact(label, text))
+    return f'<table class="facts"><tbody>{"".join(chosen)}</tbody></table>' if chosen else ""
+
+
+def _fact(label: str, text: str) -> str:
+    return f'<tr><th scope="row">{html.escape(label)}</th><td>{html.escape(text)}</td></tr>\n'
+
+
+def _claims(certificate: Certificate) -> str:
+    lines = []
+    for claim in certificate.claims:
+        word = mark(claim)
+        kind = {"proved": "proved", "open": "open"}.get(word, "missing")
+        lines.append(
+            f'<tr><th scope="row">{html.escape(claim.name)}</th><td class="{kind}">{word}</td>'
+            f"<td>{html.escape(claim.statement)}</td></tr>\n"
+        )
+    return (
+        f'<p class="faint">{html.escape(_ABOUT)}</p><table class="facts claims">'
+        '<thead><tr><th scope="col">claim</th><th scope="col"></th><th scope="col">statement</th>'
+        f"</tr></thead><tbody>{''.join(lines)}</tbody></table>"
+    )
+
+
+def _compared(found: Findings, plant: Plant) -> str:
+    if found.performance is None:
+        return ""
+    (corner, *heads), *lines = cells(found.performance, plant)
+    top = "".join(f'<th scope="col">{html.escape(text)}</th>' for text in (corner, *heads))
+    body = "".join(
+        f'<tr><th scope="row">{html.escape(label)}</th>'
+        + "".join(f"<td>{html.escape(text)}</td>" for text in _filled(values, len(heads)))
+        + "</tr>\n"
+        for label, *values in lines
+    )
+    table = f'<table class="numbers"><thead><tr>{top}</tr></thead><tbody>{body}</tbody></table>'
+    return f'<div class="scroll">{table}</div>' + _list(error_lines(found.performance, plant))
+
+
+def _filled(values: Sequence[str], count: int) -> list[str]:
+    return [*values, *["–"] * (count - len(values))]
+
+
+def _list(texts: Iterable[str]) -> str:
+    items = "".join(f"<li>{html.escape(text)}</li>\n" for text in texts)
+    return f"<ul>{items}</ul>" if items else ""
+
+
+def _figures(figures: Mapping[str, Figure]) -> str:
+    return "\n".join(
+        f"<figure>\n{inline_svg(figure, name, html.escape(_CAPTIONS[name]))}\n"
+        f"<figcaption>{html.escape(_CAPTIONS[name])}</figcaption>\n</figure>"
+        for name, figure in figures.items()
+    )
+
+
+def _made_with(made: Design, certificate: Certificate, command: str) -> str:
+    rows = [
+        ("design.json", f"SHA-256 {made.hash}"),
+        (
+            "certificate.json",
+            f"SHA-256 {hashlib.sha256(certificate.to_json().encode()).hexdigest()}",
+        ),
+        ("seed", str(made.seed)),
+        ("versions", ", ".join(f"{name} {v}" for name, v in made.versions.items())),
+    ]
+    again = f"<pre>{html.escape(command)}</pre>" if command else ""
+    lines = "".join(_fact(label, text) for label, text in rows)
+    return f'{again}<table class="facts"><tbody>{lines}</tbody></table>'
