@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Mapping
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -234,7 +234,8 @@ def _design(model: Path, **options: Any) -> int:
         from necc_casadi.report.to_json import to_json
         from necc_casadi.report.to_text import summary
 
-        found = run_design(_request(model, options), progress.say)
+        request = replace(_request(model, options), command=said_again(model))
+        found = run_design(request, progress.say)
     if options["as_json"]:
         echo_json(to_json(found))
     else:
@@ -251,7 +252,6 @@ def _request(model: Path, options: Mapping[str, Any]) -> Request:
         "out": options["out"] or Path(f"{model.stem}-design"),
         "plots": not options["no_plots"],
         "verbose": options["debug"],
-        "command": said_again(model),
     }
 
     def chosen(kind: type[Choices] | type[Request]) -> dict[str, Any]:

@@ -21,7 +21,7 @@ from necc_casadi.symbolic.expressions import parse, to_text
 from necc_casadi.symbolic.identifiers import identifiers
 from necc_casadi.symbolic.zero import is_zero
 
-__all__ = ["PLANT_FILE", "plant_text", "read_plant"]
+__all__ = ["PLANT_FILE", "parse_plant", "plant_text", "read_plant"]
 
 
 PLANT_FILE = "plant.json"
@@ -58,8 +58,8 @@ def plant_text(design: Design, plant: Parametric) -> str:
     return json.dumps(data, indent=1, ensure_ascii=False) + "\n"
 
 
-def read_plant(out: Path, design: Design) -> Parametric:
-    """The plant of OUT/plant.json, which belongs to the design of OUT.
+def read_plant(out: Path, design: Design) -> tuple[Parametric, str]:
+    """The plant of OUT/plant.json, which belongs to the design of OUT, and the file's content.
 
     Raises
     ------
@@ -70,9 +70,10 @@ def read_plant(out: Path, design: Design) -> Parametric:
     refuse_unfinished(out)
     path = out / PLANT_FILE
     try:
-        data = json.loads(read_text(path, _LARGEST))
-        plant = _plant(data)
-        fits = data["design"] == design.hash and _same(plant.at(plant.values), design)
+        text = read_text(path, _LARGEST)
+        plant = parse_plant(text)
+        belongs = json.loads(text)["design"] == design.hash
+        fits = belongs and _same(plant.at(plant.values), design)
     except FileNotFoundError:
         raise OutputError(
             "output",
@@ -87,10 +88,12 @@ def read_plant(out: Path, design: Design) -> Parametric:
         raise OutputError(
             "output", f"{path} is of another design", "Design again with necc-design."
         )
-    return plant
+    return plant, text
 
 
-def _plant(data: Mapping[str, Any]) -> Parametric:
+def parse_plant(text: str) -> Parametric:
+    """The plant of a plant.json; raises one of BROKEN where the text holds none."""
+    data: Mapping[str, Any] = json.loads(text)
     if data["format"] != _PLANT_FORMAT:
         raise ValueError(f"format {data['format']!r}")
     symbols = {

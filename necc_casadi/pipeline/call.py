@@ -35,7 +35,7 @@ def run(
         Folder to write, with C code, figures and a report; by default none is.
     say
         Called with what is being done.
-    **options
+    options
         As those of the command: ``check=True, settle=3, compare=True``; all of them:
         ``help(necc_casadi.RunOptions)``.
 

@@ -40,7 +40,7 @@ class Result:
     >>> from necc_casadi import run
     >>> result = run("pendulum.py", target="pi/4")
     >>> result
-    <Result Pendulum: certified, asymptotically stable; q = pi/4, p = 0>
+    <Result pendulum: certified, asymptotically stable; q = pi/4, p = 0>
     >>> result.exit_code, result.certificate.is_global, result.design.xi_star.shape
     (0, True, (1,))
     >>> [claim.name for claim in result.claims if not claim.holds]

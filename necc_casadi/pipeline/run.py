@@ -19,17 +19,14 @@ import sympy as sp
 from necc_casadi.casimirs.casimirs import Casimirs
 from necc_casadi.casimirs.find import find_casimirs
 from necc_casadi.certificate.claims.certificate import Certificate
-from necc_casadi.choice.choose import Choice, choose
 from necc_casadi.designs.design import Design
 from necc_casadi.designs.outcome import Start
 from necc_casadi.designs.plant_file import PLANT_FILE, plant_text
 from necc_casadi.errors import InputError
-from necc_casadi.export.sampled_loop import SampledLoop
 from necc_casadi.files import LISTING, check_writable, write_text
 from necc_casadi.folders import whole_folder
 from necc_casadi.model.model_file import Model
 from necc_casadi.model.spot_checks import check_model_at
-from necc_casadi.performance.shares import sampled_share
 from necc_casadi.pipeline.advice import (
     design_notes,
     model_notes,
@@ -46,19 +43,18 @@ from necc_casadi.pipeline.request import (
     read_target,
     with_structure,
 )
-from necc_casadi.pipeline.sweep import sweep_a
 from necc_casadi.report.findings import Findings
 from necc_casadi.report.sweep_point import SweepPoint
-from necc_casadi.simulation.convergence import simulated_share
-from necc_casadi.simulation.responses import Trajectory, random_states, simulate
-from necc_casadi.synthesis.asked import Answer
 from necc_casadi.synthesis.options import Options
-from necc_casadi.synthesis.synthesis import answered
 from necc_casadi.verdict.judge import judge
 from necc_casadi.verdict.verdict import Verdict
 
-if TYPE_CHECKING:
+if TYPE_CHECKING:  # what --check does not need is loaded when it is reached
+    from necc_casadi.choice.choose import Choice
+    from necc_casadi.export.sampled_loop import SampledLoop
     from necc_casadi.performance.measure import Performance
+    from necc_casadi.simulation.responses import Trajectory
+    from necc_casadi.synthesis.asked import Answer
 
 __all__ = ["REPORT", "run_design", "write_run"]
 
@@ -149,6 +145,8 @@ def _studied(
     request: Request, task: _Task, found: Findings, choice: Choice, clock: Clock
 ) -> Findings:
     """What is to be known of the design that is kept, nothing written."""
+    from necc_casadi.performance.shares import sampled_share
+
     made, certificate = choice.design, choice.certificate
     motion, share = _simulated(made, clock), sampled_share(made, certificate)
     sweep: tuple[SweepPoint, ...] = ()
@@ -241,6 +239,8 @@ def _trained(task: _Task, options: Options, say: Say) -> Design:
 
 def _answered(task: _Task, options: Options, say: Say) -> Answer:
     """The same, with how far the response is what was asked."""
+    from necc_casadi.synthesis.synthesis import answered
+
     outcomes: list[Start] = []
 
     def report(start: Start) -> None:
@@ -252,6 +252,8 @@ def _answered(task: _Task, options: Options, say: Say) -> Answer:
 
 def _chosen(task: _Task, clock: Clock) -> Choice:
     """Train, damp and prove what the options leave to choose from, and keep one."""
+    from necc_casadi.choice.choose import choose
+
     choice = choose(
         task.model.loop, task.casimirs, task.verdict, task.x_star, task.options, clock.say
     )
@@ -269,6 +271,9 @@ class _Motion:
 
 def _simulated(made: Design, clock: Clock) -> _Motion:
     """Simulate, for no longer than somebody waits."""
+    from necc_casadi.simulation.convergence import simulated_share
+    from necc_casadi.simulation.responses import random_states, simulate
+
     with clock.stage("simulate", "simulating"):
         ends = time.perf_counter() + _PATIENCE
         responses = tuple(
@@ -329,6 +334,8 @@ def _swept(
     values: tuple[float, float, int], task: _Task, options: Options, clock: Clock
 ) -> tuple[SweepPoint, ...]:
     """Designs made like the one that is kept, whether a network can reach their a or not."""
+    from necc_casadi.pipeline.sweep import sweep_a
+
     with clock.stage("sweep", "sweeping a"):
         return sweep_a(
             values,

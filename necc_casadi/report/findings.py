@@ -12,21 +12,20 @@ import sympy as sp
 from necc_casadi.casimirs.casimirs import Casimirs
 from necc_casadi.certificate.claims.certificate import Certificate
 from necc_casadi.certificate.claims.claim import Claim
-from necc_casadi.choice.choose import Choice
-from necc_casadi.choice.fitness import response_faults, response_warnings
 from necc_casadi.designs.design import Design
 from necc_casadi.designs.error_bound import ACCEPTED_LOSS, natural_loss
 from necc_casadi.designs.measures import Measures, measure
 from necc_casadi.errors import OptionError
-from necc_casadi.export.sampled_loop import SampledLoop
 from necc_casadi.model.closed_loop import ClosedLoop
 from necc_casadi.model.parametric import Parametric
 from necc_casadi.report.sweep_point import SweepPoint
-from necc_casadi.simulation.responses import Trajectory
 from necc_casadi.verdict.verdict import Verdict
 
-if TYPE_CHECKING:
+if TYPE_CHECKING:  # a verdict alone needs none of these
+    from necc_casadi.choice.choose import Choice
+    from necc_casadi.export.sampled_loop import SampledLoop
     from necc_casadi.performance.measure import Performance
+    from necc_casadi.simulation.responses import Trajectory
     from necc_casadi.synthesis.asked import Asked
 
 __all__ = ["Findings", "attracts", "global_claim", "region_claim"]
@@ -93,12 +92,20 @@ class Findings:
     @property
     def faults(self) -> tuple[str, ...]:
         """What the response has against what is claimed: nothing is certified then."""
-        return () if self.choice is None else response_faults(self.choice.kept)
+        if self.choice is None:
+            return ()
+        from necc_casadi.choice.fitness import response_faults
+
+        return response_faults(self.choice.kept)
 
     @property
     def warnings(self) -> tuple[str, ...]:
         """What the response has beyond what is claimed, and V elsewhere."""
-        return () if self.choice is None else response_warnings(self.choice)
+        if self.choice is None:
+            return ()
+        from necc_casadi.choice.fitness import response_warnings
+
+        return response_warnings(self.choice)
 
     @property
     def exit_code(self) -> int:

@@ -14,11 +14,9 @@ import sympy as sp
 from necc_casadi.casimirs.casimirs import Casimirs
 from necc_casadi.certificate.claims.certificate import Certificate
 from necc_casadi.certificate.claims.claim import Claim
-from necc_casadi.choice.judged import Judged
 from necc_casadi.designs.design import Design
 from necc_casadi.designs.measures import Measures
 from necc_casadi.designs.outcome import Residual
-from necc_casadi.export.sampled_loop import SampledLoop
 from necc_casadi.model.plant import Plant
 from necc_casadi.report.asked import asked_text, missed
 from necc_casadi.report.compared import comparison, error_lines
@@ -28,6 +26,8 @@ from necc_casadi.symbolic.floats import to_float
 from necc_casadi.verdict.verdict import Verdict
 
 if TYPE_CHECKING:
+    from necc_casadi.choice.judged import Judged
+    from necc_casadi.export.sampled_loop import SampledLoop
     from necc_casadi.performance.measure import Performance
 
 __all__ = [
