@@ -17,7 +17,15 @@ from necc_casadi.model.sizes import input_names
 from necc_casadi.report.slices import Window, domain_window, shadow, slice_boundary, slice_values
 from necc_casadi.report.style import Drawing
 from necc_casadi.report.sweep_point import SweepPoint
-from necc_casadi.report.ticks import engineering, finished, logarithmic, panels
+from necc_casadi.report.ticks import (
+    engineering,
+    finished,
+    logarithmic,
+    panels,
+    power_of,
+    rounded,
+    scaled_label,
+)
 from necc_casadi.simulation.responses import Trajectory
 
 __all__ = [
@@ -87,13 +95,12 @@ def lyapunov_figure(design: Design) -> Figure:
         surface,
         [("x", *named_state(design, i)), ("y", *named_state(design, j)), ("z", "V − V(z̄)", "")],
     )
-    surface.yaxis.labelpad = 8
+    surface.yaxis.labelpad = surface.zaxis.labelpad = 8
     surface.view_init(elev=28, azim=-60)
 
     flat = figure.add_axes((0.56, 0.21, 0.42, 0.65))
     draw_contours(flat, design)
     figure.legend(*flat.get_legend_handles_labels(), loc="lower right", ncols=2, fontsize=8)
-    flat.set_title("contours of V − V(z̄)", fontsize=10)
     return figure
 
 
@@ -103,9 +110,22 @@ def draw_contours(axis: Axes, design: Design) -> None:
     A, B, values = slice_values(design, window)
     shown = _without_poles(values)
     lines = axis.contour(A, B, shown, levels=_levels(values), cmap="viridis")
+    power = power_of(float(lines.levels[-1]))
     if np.isfinite(shown).all():  # beside a pole, numbers would stand on one another
-        labelled = _levels(values)[2::2]  # apart from the marks
-        axis.clabel(lines, levels=labelled, fontsize=7, fmt=lambda v: engineering(v, digits=2))
+        closed = [  # others end at the border, where numbers would be cut off
+            level
+            for level, curves in zip(lines.levels, lines.allsegs, strict=True)
+            if curves and all(len(c) > 2 and np.array_equal(c[0], c[-1]) for c in curves)
+        ]
+        labels = axis.clabel(
+            lines,
+            levels=closed[-1:1:-2][::-1],
+            fontsize=7,
+            fmt=lambda v: rounded(v / 10.0**power, 2),
+        )
+        for label in labels:
+            label.set_bbox({"facecolor": "white", "edgecolor": "none", "pad": 0.5})
+    axis.set_title(scaled_label("contours of V − V(z̄)", "", power), fontsize=10)
     _mark_minima(design, axis, *window.pair)
 
 
