@@ -158,7 +158,9 @@ __all__ = ["design_command"]
 @numbers(solver_option, "--controller-damping", "Dc, likewise.  [default: chosen]")
 @output_option("--out", type=NamedPath(), help="Folder to write.  [default: <model>-design]")
 @json_option("One JSON object on stdout, nothing else there.")
-@output_option("-v", "--verbose", is_flag=True, help="Say every claim, file and time.")
+@output_option(
+    "-v", "--verbose", "every_claim", is_flag=True, help="Say every claim, file and time."
+)
 @output_option("--no-plots", is_flag=True, help="Draw no figures.")
 @output_option(
     "--format",
@@ -239,7 +241,7 @@ def _design(model: Path, **options: Any) -> int:
     if options["as_json"]:
         echo_json(to_json(found))
     else:
-        echo(summary(found, columns(), verbose=options["verbose"]))
+        echo(summary(found, columns(), verbose=options["every_claim"]))
     return found.exit_code
 
 

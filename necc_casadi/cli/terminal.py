@@ -149,7 +149,7 @@ class NamedPath(click.Path):
 
 
 #: Options that say where and how results are shown, not what they are.
-_ABOUT_OUTPUT = {"out", "as_json", "verbose", "debug"}
+_ABOUT_OUTPUT = {"out", "as_json", "every_claim", "debug"}
 
 
 def said_again(model: Path) -> str:

@@ -350,13 +350,15 @@ def _drawn(request: Request, found: Findings, out: Path, clock: Clock) -> list[P
     from necc_casadi.report.page import report
     from necc_casadi.report.style import picture
 
-    with clock.stage("figures", "drawing"):
-        figures = figures_of(found) if request.plots else {}
-        drawn = [
-            write_text(
-                out / "figures" / f"{name}.{request.format}", picture(figure, request.format)
-            )
-            for name, figure in figures.items()
-        ]
+    figures, kind = {}, request.format
+    drawn: list[Path] = []
+    if request.plots:
+        with clock.stage("figures", "drawing"):
+            figures = figures_of(found)
+            drawn = [
+                write_text(out / "figures" / f"{name}.{kind}", picture(figure, kind))
+                for name, figure in figures.items()
+            ]
+    with clock.stage("report", "writing the report"):
         page = report(found, figures, request.command)
         return [*drawn, write_text(out / REPORT, page)]

@@ -109,12 +109,13 @@ def draw_contours(axis: Axes, design: Design) -> None:
     window = domain_window(design)
     A, B, values = slice_values(design, window)
     shown = _without_poles(values)
-    lines = axis.contour(A, B, shown, levels=_levels(values), cmap="viridis")
-    power = power_of(float(lines.levels[-1]))
+    levels = _levels(values)
+    lines = axis.contour(A, B, shown, levels=levels, cmap="viridis")
+    power = power_of(float(levels[-1]))
     if np.isfinite(shown).all():  # beside a pole, numbers would stand on one another
         closed = [  # others end at the border, where numbers would be cut off
             level
-            for level, curves in zip(lines.levels, lines.allsegs, strict=True)
+            for level, curves in zip(levels.tolist(), lines.allsegs, strict=True)
             if curves and all(len(c) > 2 and np.array_equal(c[0], c[-1]) for c in curves)
         ]
         labels = axis.clabel(

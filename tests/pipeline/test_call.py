@@ -165,7 +165,7 @@ def test_options_that_cannot_be_used_are_named(options, message):
 def test_every_option_of_the_command_is_one_of_the_call():
     """And each has a line of help."""
     command = {option.name for option in _design.params}
-    shown = {"as_json", "verbose", "debug", "version", "no_plots", "out", "model", "target"}
+    shown = {"as_json", "every_claim", "debug", "version", "no_plots", "out", "model", "target"}
     names = set(RunOptions.__annotations__)
     assert names - {"plots"} == command - shown
     known = {field.name for kind in (Choices, Request) for field in fields(kind)}
