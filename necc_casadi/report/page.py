@@ -268,11 +268,13 @@ def _list(texts: Iterable[str]) -> str:
 
 
 def _figures(figures: Mapping[str, Figure]) -> str:
-    return "\n".join(
-        f"<figure>\n{inline_svg(figure, name, html.escape(_CAPTIONS[name]))}\n"
-        f"<figcaption>{html.escape(_CAPTIONS[name])}</figcaption>\n</figure>"
-        for name, figure in figures.items()
-    )
+    return "\n".join(_figure(name, figure) for name, figure in figures.items())
+
+
+def _figure(name: str, figure: Figure) -> str:
+    caption = html.escape(_CAPTIONS[name])
+    drawn = inline_svg(figure, name, caption)
+    return f'<figure>\n<div class="scroll">{drawn}</div>\n<figcaption>{caption}</figcaption>\n</figure>'
 
 
 def _made_with(made: Design, certificate: Certificate, command: str) -> str:

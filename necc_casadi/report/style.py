@@ -28,6 +28,10 @@ _METADATA: dict[str, dict[str, Any]] = {
 }
 
 
+#: Inches from which on a figure has panels side by side.
+_WIDE = 7.5
+
+
 @lru_cache(maxsize=1)
 def _style() -> Any:
     """The one style file."""
@@ -94,6 +98,8 @@ def inline_svg(figure: Figure, name: str, title: str) -> str:
     text = re.sub(r'(href="|url\()#', rf"\g<1>#{name}-", text)
     head, rest = text.split(">", 1)
     box = re.search(r'viewBox="0 0 ([\d.]+) [\d.]+"', head)
-    size = f'{box[0]} style="max-width: {float(box[1]) / 72:.4g}in"' if box else ""
+    inches = float(box[1]) / 72 if box else 0.0
+    wide = ' class="wide"' if inches > _WIDE else ""
+    size = f'{box[0]} style="max-width: {inches:.4g}in"{wide}' if box else ""
     namespaces = 'xmlns="http://www.w3.org/2000/svg" xmlns:xlink="http://www.w3.org/1999/xlink"'
     return f'<svg {namespaces} role="img" aria-label="{title}" {size}>{rest.rstrip()}'
