@@ -274,7 +274,8 @@ def _figures(figures: Mapping[str, Figure]) -> str:
 def _figure(name: str, figure: Figure) -> str:
     caption = html.escape(_CAPTIONS[name])
     drawn = inline_svg(figure, name, caption)
-    return f'<figure>\n<div class="scroll">{drawn}</div>\n<figcaption>{caption}</figcaption>\n</figure>'
+    shown = f'<div class="scroll">{drawn}</div>\n<figcaption>{caption}</figcaption>'
+    return f"<figure>\n{shown}\n</figure>"
 
 
 def _made_with(made: Design, certificate: Certificate, command: str) -> str:
