@@ -23,10 +23,10 @@ from necc_casadi.report.figures import (
     region_boundary,
     region_figure,
     responses_figure,
-    write_figure,
 )
 from necc_casadi.report.findings import Findings, attracts, global_claim, region_claim
 from necc_casadi.report.landscape_figure import landscape_figure
+from necc_casadi.report.style import write_figure
 from necc_casadi.report.to_text import percent
 from necc_casadi.simulation.responses import simulate
 from necc_casadi.synthesis.options import Options

@@ -1,6 +1,11 @@
 """Neural energy-Casimir control for port-Hamiltonian systems.
 
-From a sympy model to a certified C controller, in the order of the theory::
+From a sympy model to a certified C controller, in one call::
+
+    result = run("pendulum.py", target="pi/4")            # nothing is written; out="folder" does
+    print(result.summary()); result.plot_responses(); result.save("pendulum-design")
+
+or step by step, in the order of the theory::
 
     model = load_model("pendulum.py")
     x_star = parse_target(model.loop.plant, "pi/4")
@@ -42,6 +47,9 @@ if TYPE_CHECKING:  # what _HOME says, for tools that do not run the code
     from necc_casadi.model.plant import Plant as Plant
     from necc_casadi.model.plant import make_plant as make_plant
     from necc_casadi.model.target import parse_target as parse_target
+    from necc_casadi.pipeline.call import run as run
+    from necc_casadi.pipeline.given import RunOptions as RunOptions
+    from necc_casadi.pipeline.result import Result as Result
     from necc_casadi.simulation.responses import Trajectory as Trajectory
     from necc_casadi.simulation.responses import simulate as simulate
     from necc_casadi.synthesis.options import Options as Options
@@ -62,6 +70,8 @@ _HOME = {
     "Model": "model.model_file",
     "Options": "synthesis.options",
     "Plant": "model.plant",
+    "Result": "pipeline.result",
+    "RunOptions": "pipeline.given",
     "Trajectory": "simulation.responses",
     "Verdict": "verdict.verdict",
     "certify": "certificate.prover.certify",
@@ -76,6 +86,7 @@ _HOME = {
     "make_plant": "model.plant",
     "paper_options": "synthesis.options",
     "parse_target": "model.target",
+    "run": "pipeline.call",
     "simulate": "simulation.responses",
 }
 

@@ -8,6 +8,7 @@ __all__ = [
     "NAME_IN_C",
     "Activation",
     "CasimirForm",
+    "Format",
     "InitialXi",
     "Integrator",
     "MethodName",
@@ -56,6 +57,10 @@ InitialXi = Literal["target", "linear", "minimum"]
 #: What keeps a response from what was asked: a mode of the plant that no input moves, the peak of
 #: an input, the bound of ‖A‖, or that the program finds nothing faster in this structure.
 Stop = Literal["unmoved_mode", "input_peak", "norm_bound", "structure"]
+
+
+#: Of a figure.
+Format = Literal["png", "pdf", "svg"]
 
 
 #: Number type of the C controller.

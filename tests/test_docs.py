@@ -23,7 +23,9 @@ from necc_casadi.certificate.claims.motions import Follows, Solutions, Step
 from necc_casadi.certificate.prover.certify import certify
 from necc_casadi.cli.certify import _certify
 from necc_casadi.cli.design import _design
+from necc_casadi.cli.montecarlo import _montecarlo
 from necc_casadi.cli.simulate import _simulate
+from necc_casadi.cli.sweep import _sweep
 from necc_casadi.cli.terminal import run
 from necc_casadi.designs.layout import DESIGN_FORMAT
 
@@ -209,7 +211,7 @@ def test_the_contract_names_every_exit_code():
 def test_the_contract_names_every_option_of_every_command():
     text = section(CONTRACT, "Options")
     named = set(re.findall(r"--[a-z][a-z0-9-]*", text))
-    commands = (_design, _certify, _simulate)
+    commands = (_design, _certify, _simulate, _montecarlo, _sweep)
     real = {name for command in commands for p in command.params for name in p.opts}
     assert named == {name for name in real if name.startswith("--")} | {"--help"}
     for command in commands:

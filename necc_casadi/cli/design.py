@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Mapping
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,6 +13,7 @@ import click
 from necc_casadi.cases import (
     Activation,
     CasimirForm,
+    Format,
     Integrator,
     MethodWord,
     PhiForm,
@@ -36,7 +37,7 @@ from necc_casadi.cli.options import (
     task_option,
     widths,
 )
-from necc_casadi.cli.terminal import GroupedCommand, NamedPath, columns, run
+from necc_casadi.cli.terminal import GroupedCommand, NamedPath, columns, run, said_again
 
 if TYPE_CHECKING:
     from necc_casadi.pipeline.request import Request
@@ -166,7 +167,17 @@ __all__ = ["design_command"]
 @numbers(solver_option, "--controller-damping", "Dc, likewise.  [default: chosen]")
 @output_option("--out", type=NamedPath(), help="Folder to write.  [default: <model>-design]")
 @json_option("One JSON object on stdout, nothing else there.")
+@output_option(
+    "-v", "--verbose", "every_claim", is_flag=True, help="Say every claim, file and time."
+)
 @output_option("--no-plots", is_flag=True, help="Draw no figures.")
+@output_option(
+    "--format",
+    type=choice(Format),
+    default="png",
+    show_default=True,
+    help="Of the figures; in PDF, letters stay letters in fonts that are in the file.",
+)
 @output_option(
     "--sweep-a",
     metavar="LO:HI:N",
@@ -234,11 +245,12 @@ def _design(model: Path, **options: Any) -> int:
         from necc_casadi.report.to_json import to_json
         from necc_casadi.report.to_text import summary
 
-        found = run_design(_request(model, options), progress.say)
+        request = replace(_request(model, options), command=said_again(model))
+        found = run_design(request, progress.say)
     if options["as_json"]:
         echo_json(to_json(found))
     else:
-        echo(summary(found, columns()))
+        echo(summary(found, columns(), verbose=options["every_claim"]))
     return found.exit_code
 
 

@@ -51,7 +51,11 @@ __all__ = ["simulate_command"]
     type=NamedPath(dir_okay=False),
     help="Write the response to a CSV file (- for stdout).",
 )
-@output_option("--plot", type=NamedPath(dir_okay=False), help="Draw it to a PNG file.")
+@output_option(
+    "--plot",
+    type=NamedPath(dir_okay=False),
+    help="Draw it to a file: PNG, or PDF or SVG by its name.",
+)
 @json_option()
 @last_options("necc-simulate")
 def _simulate(out: Path, **options: Any) -> int:
@@ -87,9 +91,11 @@ def _simulate(out: Path, **options: Any) -> int:
     if options["csv"] is not None and str(options["csv"]) != "-":
         write_text(options["csv"], text)
     if options["plot"] is not None:
-        from necc_casadi.report.figures import responses_figure, write_figure
+        from necc_casadi.report.figures import responses_figure
+        from necc_casadi.report.style import styled, write_figure
 
-        write_figure(responses_figure(made, [response]), options["plot"])
+        with styled():
+            write_figure(responses_figure(made, [response]), options["plot"])
     if str(options["csv"]) == "-":
         click.echo(fitting(text, sys.stdout), nl=False)
     elif options["as_json"]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import shlex
 import shutil
 import sys
 import traceback
@@ -17,7 +18,7 @@ from necc_casadi.cli.console import echo, echo_json, fitting, readable_streams
 from necc_casadi.errors import InputError, OutputError
 from necc_casadi.interrupts import interruptible
 
-__all__ = ["GroupedCommand", "NamedPath", "columns", "grouped", "run"]
+__all__ = ["GroupedCommand", "NamedPath", "columns", "grouped", "run", "said_again"]
 
 
 _UNGROUPED = "Other"
@@ -145,6 +146,34 @@ class NamedPath(click.Path):
             name = param.opts[-1] if isinstance(param, click.Option) else param.human_readable_name
             raise OutputError("output", f"{name} is empty", "Name a path; . is the working folder.")
         return super().convert(value, param, ctx)
+
+
+#: Options that say where and how results are shown, not what they are.
+_ABOUT_OUTPUT = {"out", "as_json", "every_claim", "debug"}
+
+
+def said_again(model: Path) -> str:
+    """The command at hand with the options that were given, as it makes the same elsewhere."""
+    context = click.get_current_context()
+    said = [context.command.name or "", model.name]
+    for option in context.command.params:
+        name = option.name or ""
+        source = context.get_parameter_source(name)
+        if isinstance(option, click.Option) and name not in _ABOUT_OUTPUT:
+            given = source is click.core.ParameterSource.COMMANDLINE
+            said += _said(option, context.params[name]) if given else []
+    return shlex.join(said)
+
+
+def _said(option: click.Option, value: Any) -> list[str]:
+    if option.is_flag:
+        return [option.opts[-1]] if value else []
+    if option.multiple:
+        return [word for entry in value for word in (option.opts[-1], str(entry))]
+    if not isinstance(value, tuple):
+        return [option.opts[-1], f"{value:g}" if isinstance(value, float) else str(value)]
+    separator = ":" if option.metavar == "LO:HI:N" else ","
+    return [option.opts[-1], separator.join(f"{entry:.15g}" for entry in value)]
 
 
 def columns() -> int:

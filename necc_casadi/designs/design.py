@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -63,6 +64,10 @@ class Design(Parts):
     >>> Design.load(made.save("design.json")).hash == made.hash
     True
     """
+
+    def __reduce__(self) -> tuple[Callable[[str], Design], tuple[str]]:
+        """Sent to another process as design.json has it, compiled functions made anew there."""
+        return Design.from_text, (self.text,)
 
     @cached_property
     def domain(self) -> Domain:

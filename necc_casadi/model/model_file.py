@@ -32,6 +32,7 @@ from necc_casadi.model.modulated import (
     make_control_affine,
     make_modulated,
 )
+from necc_casadi.model.parametric import Parametric
 from necc_casadi.model.plant import Plant, make_plant
 from necc_casadi.model.sizes import input_names
 from necc_casadi.symbolic.expressions import exact, parse_number
@@ -85,6 +86,7 @@ class Model:
     input_cost: Vector | None = None  # m × m, ≻ 0
     params: Mapping[str, sp.Expr] = field(default_factory=dict)  # values, exact
     notes: tuple[str, ...] = ()  # names in the file that look mistyped
+    parametric: Parametric | None = None  # the plant before values were put in; None: no parameter
 
     @cached_property
     def loop(self) -> ClosedLoop:
@@ -248,6 +250,7 @@ def _build(path: Path, space: dict[str, Any], overrides: Mapping[str, str]) -> M
         state_cost=_weight(file, "state_cost", plant.n, strict=False),
         input_cost=_weight(file, "input_cost", plant.m, strict=True),
         params=file.parameters,
+        parametric=_parametric(file),
     )
 
 
@@ -280,6 +283,17 @@ def _plant(path: Path, file: _Reader) -> System:
             "Give one (lo, hi) pair per input.",
         )
     return plant
+
+
+def _parametric(file: _Reader) -> Parametric | None:
+    """The plant with its parameters as symbols; it was checked with their values."""
+    if not file.parameters or not {"J", "R", "G", "H"} <= set(file.space) or file.inputs:
+        return None
+    if _source(file.space) is not None:
+        return None
+    J, R, G = (sp.ImmutableMatrix(file.unvalued(name)) for name in ("J", "R", "G"))
+    H = file.unvalued("H")
+    return Parametric(J, R, G, H[0, 0] if isinstance(H, sp.MatrixBase) else H, file.parameters)
 
 
 class _Reader:
@@ -328,6 +342,14 @@ class _Reader:
         expr = exact(value)
         return expr.xreplace({s: self._values.get(s, _real(s)) for s in expr.free_symbols})
 
+    def unvalued(self, name: str) -> Any:
+        """An entry of the plant with its parameters as symbols."""
+        value = self.space[name]
+        whole = sp.Matrix(value) if isinstance(value, (list, tuple, np.ndarray)) else value
+        if isinstance(whole, sp.MatrixBase):
+            return whole.applyfunc(_exactly)
+        return _exactly(whole)
+
     def attempt(self, name: str) -> Any:
         """An entry of the plant; what cannot be read is named by make_plant."""
         try:
@@ -357,6 +379,12 @@ def _symbols(value: Any, label: str) -> list[sp.Symbol]:
     for symbol in symbols:
         _printable(str(symbol), f"a name in {label}")
     return symbols
+
+
+def _exactly(value: Any) -> sp.Expr:
+    """An entry with exact numbers, of real symbols."""
+    expr = exact(value)
+    return expr.xreplace({s: _real(s) for s in expr.free_symbols})
 
 
 def _real(symbol: sp.Symbol) -> sp.Symbol:

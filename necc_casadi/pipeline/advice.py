@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
 
 import sympy as sp
 
@@ -14,9 +15,11 @@ from necc_casadi.model.piece import loop_piece
 from necc_casadi.model.sizes import Sizes
 from necc_casadi.model.target import nearest_equilibrium
 from necc_casadi.pipeline.request import option_word
-from necc_casadi.simulation.responses import Trajectory
 from necc_casadi.synthesis.options import Options
 from necc_casadi.verdict.controller_structures import suggest_controllers
+
+if TYPE_CHECKING:
+    from necc_casadi.simulation.responses import Trajectory
 
 __all__ = [
     "design_notes",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -13,14 +14,16 @@ from necc_casadi.arrays import Vector
 from necc_casadi.cases import (
     Activation,
     CasimirForm,
+    Format,
     Integrator,
     MethodWord,
     PhiForm,
     Precision,
     Shape,
 )
-from necc_casadi.errors import OptionError
-from necc_casadi.model.model_file import Model, damping_matrix
+from necc_casadi.errors import ModelError, OptionError
+from necc_casadi.model.model_file import Model, damping_matrix, load_model
+from necc_casadi.model.plant import Plant
 from necc_casadi.model.target import free_coordinates, parse_target, target_from_model
 from necc_casadi.synthesis.options import Options, check_options, paper_options
 from necc_casadi.verdict.controller_structures import suggest_controllers
@@ -29,6 +32,7 @@ __all__ = [
     "Choices",
     "Request",
     "option_word",
+    "read_model",
     "read_options",
     "read_parameters",
     "read_target",
@@ -65,8 +69,8 @@ class Choices:
 class Request:
     """What one run is asked for, as the command line says it."""
 
-    model: Path
-    out: Path
+    model: Path | Plant | Model
+    out: Path | None = None  # None: nothing is written
     target: str | None = None
     param: Sequence[str] = ()  # NAME=VALUE
     check: bool = False
@@ -88,6 +92,39 @@ class Request:
     prefix: str = "necc"
     fmu: bool = False
     mex: bool = False
+    format: Format = "png"  # of the figures
+    command: str = ""  # what a user says to get the same
+
+    @property
+    def word(self) -> str:
+        """The model's name as a word, for files that are called after it."""
+        model = self.model
+        if isinstance(model, Path):
+            return re.sub(r"\W", "_", model.stem)
+        plant = model if isinstance(model, Plant) else model.loop.plant
+        return re.sub(r"\W", "_", plant.name)
+
+
+def read_model(request: Request, *changed: str) -> Model:
+    """The model of a request; `changed` are parameters that differ, NAME=VALUE.
+
+    Raises
+    ------
+    ModelError
+        When the file cannot be used, or a model that is no file is to have other parameters.
+    """
+    values = read_parameters([*request.param, *changed])
+    if isinstance(request.model, Path):
+        return load_model(request.model, values)
+    if values:
+        raise ModelError(
+            "param",
+            f"param: {', '.join(values)} cannot be set, the model is no file",
+            "Put the values in when you make the plant, or give the path of a model file.",
+        )
+    if isinstance(request.model, Model):
+        return request.model
+    return Model(request.model)
 
 
 def with_structure(model: Model, name: str, x_star: Mapping[sp.Symbol, sp.Expr]) -> Model:

@@ -7,9 +7,8 @@ together.
 from __future__ import annotations
 
 import contextlib
-import re
 import time
-from collections.abc import Sequence
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -19,21 +18,17 @@ import numpy as np
 import sympy as sp
 
 from necc_casadi.certificate.claims.certificate import Certificate
-from necc_casadi.choice.choose import Choice, choose
-from necc_casadi.choice.fitness import response_faults
-from necc_casadi.choice.judged import Judged
 from necc_casadi.designs.design import Design
 from necc_casadi.designs.outcome import Start
+from necc_casadi.designs.plant_file import PLANT_FILE, plant_text
 from necc_casadi.errors import InputError
-from necc_casadi.export.sampled_loop import SampledLoop
 from necc_casadi.files import LISTING, check_writable, write_text
 from necc_casadi.folders import whole_folder
 from necc_casadi.methods.find import Found, find_method
 from necc_casadi.methods.method import Method
-from necc_casadi.model.model_file import Model, load_model
+from necc_casadi.model.model_file import Model
 from necc_casadi.model.plant import Plant
 from necc_casadi.model.spot_checks import check_model_at
-from necc_casadi.performance.shares import sampled_share
 from necc_casadi.pipeline.advice import (
     design_notes,
     loop_notes,
@@ -45,33 +40,28 @@ from necc_casadi.pipeline.advice import (
 from necc_casadi.pipeline.clock import Clock, Say
 from necc_casadi.pipeline.request import (
     Request,
+    read_model,
     read_options,
-    read_parameters,
     read_target,
     with_structure,
 )
-from necc_casadi.pipeline.sweep import sweep_a
-from necc_casadi.report.figures import (
-    lyapunov_figure,
-    region_boundary,
-    region_figure,
-    responses_figure,
-    sweep_figure,
-    write_figure,
-)
 from necc_casadi.report.findings import Findings
-from necc_casadi.report.landscape_figure import landscape_figure
 from necc_casadi.report.sweep_point import SweepPoint
-from necc_casadi.simulation.convergence import simulated_share
-from necc_casadi.simulation.responses import Trajectory, random_states, simulate
-from necc_casadi.synthesis.asked import Answer
 from necc_casadi.synthesis.options import Options
-from necc_casadi.synthesis.synthesis import answered
 
-if TYPE_CHECKING:
+if TYPE_CHECKING:  # what --check does not need is loaded when it is reached
+    from necc_casadi.choice.choose import Choice
+    from necc_casadi.choice.judged import Judged
+    from necc_casadi.export.sampled_loop import SampledLoop
     from necc_casadi.performance.measure import Performance
+    from necc_casadi.simulation.responses import Trajectory
+    from necc_casadi.synthesis.asked import Answer
 
-__all__ = ["run_design"]
+__all__ = ["REPORT", "run_design", "write_run"]
+
+
+#: The page that shows a run.
+REPORT = "report.html"
 
 
 #: Structures of one method that are designed for, to keep the one that responds best.
@@ -85,10 +75,6 @@ _CHEAP = 2.0
 _RESPONSES = 10
 
 
-#: Points of a response in the plane of two states.
-_POINTS = 251
-
-
 #: A parameter that is not known well, over the one of the model.
 _LARGER = sp.Rational(11, 10)
 
@@ -98,11 +84,13 @@ _PATIENCE = 10.0
 
 
 #: A file of others in one of these places is found before any training.
-_EXPECTED = ("design.json", "certificate.json", "c/necc.h", "c/necc.c")
+_EXPECTED = ("design.json", "certificate.json", "c/necc.h", "c/necc.c", REPORT)
 
 
 def run_design(request: Request, say: Say) -> Findings:
     """Judge the target and, where it is assignable, design, certify, simulate and write.
+
+    Nothing is written where the request names no folder.
 
     Raises
     ------
@@ -116,59 +104,106 @@ def run_design(request: Request, say: Say) -> Findings:
         task.model.system,
         task.x_star,
         task.found,
+        parametric=task.model.parametric,
         notes=task.notes,
         timings=dict(clock.timings),
     )
     if task.found.chosen is None or request.check:
         return found
-    figures = ("figures/lyapunov.png",) if request.plots else ()
-    with whole_folder(request.out, (*_EXPECTED, *figures)) as folder:
-        return _made(request, task, found, folder, clock)
+    if request.out is None:
+        choice, task = _chosen(task, clock)
+        return _studied(request, task, found, choice, clock)
+    with whole_folder(request.out, _expected(request)) as folder:
+        choice, task = _chosen(task, clock)
+        with ThreadPoolExecutor(1) as pool:  # compilers run while the loop is simulated and drawn
+            exported = pool.submit(
+                _exported, request, choice.design, choice.certificate, folder, clock
+            )
+            found = _studied(request, task, found, choice, clock)
+            return _written(request, found, folder, exported.result, clock)
 
 
-def _made(request: Request, task: _Task, found: Findings, folder: Path, clock: Clock) -> Findings:
-    """Everything after a favourable verdict; files go into `folder`."""
-    choice, method = _chosen(task, clock)
-    task = replace(task, found=replace(task.found, chosen=method))
-    found = replace(found, found=task.found)
-    made, certificate = choice.design, choice.certificate
-    files = _saved(made, certificate, folder)
-    with ThreadPoolExecutor(1) as pool:  # compilers run while the loop is simulated and drawn
-        exported = pool.submit(_exported, request, made, certificate, folder, clock)
-        motion, share = _simulated(made, clock), sampled_share(made, certificate)
-        sweep: tuple[SweepPoint, ...] = ()
-        if request.sweep_a is not None:
-            sweep = _swept(request.sweep_a, task, choice.kept.options, clock)
-        performance = _compared(request, task, made, clock) if request.compare else None
-        drawn = _drawn(
-            request, made, certificate, motion.responses, sweep, performance, folder, clock
+def write_run(request: Request, found: Findings, out: Path, say: Say) -> Findings:
+    """Write the folder of a run that was made without one.
+
+    Raises
+    ------
+    OutputError
+        When it cannot be written.
+    """
+    made, certificate = found.finished
+    clock = Clock(say, dict(found.timings))
+    with whole_folder(out, _expected(request)) as folder:
+        return _written(
+            request,
+            found,
+            folder,
+            lambda: _exported(request, made, certificate, folder, clock),
+            clock,
         )
-        export = exported.result()
+
+
+def _expected(request: Request) -> tuple[str, ...]:
+    """Paths at which a file of others is found before any training."""
+    figures = (f"figures/lyapunov.{request.format}",) if request.plots else ()
+    return (*_EXPECTED, *figures)
+
+
+def _studied(
+    request: Request, task: _Task, found: Findings, choice: Choice, clock: Clock
+) -> Findings:
+    """What is to be known of the design that is kept, nothing written."""
+    from necc_casadi.performance.shares import sampled_share
+
+    made, certificate = choice.design, choice.certificate
+    motion, share = _simulated(made, clock), sampled_share(made, certificate)
+    sweep: tuple[SweepPoint, ...] = ()
+    if request.sweep_a is not None:
+        sweep = _swept(request.sweep_a, task, choice.kept.options, clock)
+    sampling = _sampled(request, made)
+    warning = None if sampling is None else sampling.warning
     return replace(
         found,
+        found=task.found,
         design=made,
         certificate=certificate,
         choice=choice,
         responses=motion.responses,
         domain_share=share,
         simulated_share=motion.share,
-        sampling=export.sampling,
+        sampling=sampling,
         asked=choice.kept.asked,
-        performance=performance,
+        performance=_compared(request, task, made, clock) if request.compare else None,
         sweep=sweep,
         notes=(
             *task.notes,
             *design_notes(made, task.options),
             *region_notes(certificate, share, task.options),
             *response_notes(motion.responses, _PATIENCE),
-            *export.notes,
-        ),
-        files=(
-            *(path.relative_to(folder).as_posix() for path in (*files, *export.files, *drawn)),
-            LISTING,
+            *(() if warning is None else (warning,)),
         ),
         timings=dict(clock.timings),
     )
+
+
+def _written(
+    request: Request,
+    found: Findings,
+    folder: Path,
+    exported: Callable[[], list[Path]],
+    clock: Clock,
+) -> Findings:
+    """Everything that is written, into `folder`; `exported` gives the files of the C code."""
+    made, certificate = found.finished
+    saved = [
+        made.save(folder / "design.json"),
+        write_text(folder / "certificate.json", certificate.to_json()),
+    ]
+    if found.parametric is not None:
+        saved.append(write_text(folder / PLANT_FILE, plant_text(made, found.parametric)))
+    drawn = _drawn(request, found, folder, clock)
+    files = [path.relative_to(folder).as_posix() for path in (*saved, *exported(), *drawn)]
+    return replace(found, files=(*files, LISTING), timings=dict(clock.timings))
 
 
 @dataclass(frozen=True, eq=False)
@@ -191,9 +226,9 @@ class _Task:
 
 def _judged(request: Request, say: Say) -> _Task:
     """Read the model, find its Casimirs, judge the target."""
-    if not request.check:
+    if request.out is not None and not request.check:
         check_writable(request.out)
-    model = load_model(request.model, read_parameters(request.param))
+    model = read_model(request)
     options = read_options(request, model)
     x_star = read_target(model, request.target)
     is_plant = isinstance(model.system, Plant)
@@ -231,6 +266,8 @@ def _trained(task: _Task, options: Options, say: Say) -> Design:
 
 def _answered(task: _Task, options: Options, say: Say) -> Answer:
     """The same, with how far the response is what was asked."""
+    from necc_casadi.synthesis.synthesis import answered
+
     outcomes: list[Start] = []
 
     def report(start: Start) -> None:
@@ -241,8 +278,13 @@ def _answered(task: _Task, options: Options, say: Say) -> Answer:
     return answered(method.loop, method.casimirs, method.verdict, task.x_star, options, report)
 
 
-def _chosen(task: _Task, clock: Clock) -> tuple[Choice, Method]:
-    """Train, damp and prove what the options leave to choose from, and keep one."""
+def _chosen(task: _Task, clock: Clock) -> tuple[Choice, _Task]:
+    """Train, damp and prove what the options leave to choose from, and keep one.
+
+    The task that comes back names the structure that is kept.
+    """
+    from necc_casadi.choice.choose import choose
+
     made: list[tuple[Choice, Method]] = []
     for method in (task.method, *task.found.alternatives):
         if made and _is_good(made[0][0].kept):
@@ -253,31 +295,28 @@ def _chosen(task: _Task, clock: Clock) -> tuple[Choice, Method]:
         made.append((choice, method))
         for stage, seconds in choice.seconds.items():
             clock.timings[stage] = clock.timings.get(stage, 0.0) + seconds
-    return max(made, key=lambda pair: _fitness(pair[0].kept))
+    choice, method = max(made, key=lambda pair: _fitness(pair[0].kept))
+    return choice, replace(task, found=replace(task.found, chosen=method))
 
 
 def _is_good(kept: Judged) -> bool:
     """Whether another structure need not be tried."""
+    from necc_casadi.choice.fitness import response_faults
+
     cheap = kept.cost_to_lqr is not None and kept.cost_to_lqr <= _CHEAP
     return cheap and kept.proved and not response_faults(kept)
 
 
 def _fitness(kept: Judged) -> tuple[bool, int, float]:
     """What is proved, how many starts arrive, and what they cost: the more the better."""
+    from necc_casadi.choice.fitness import response_faults
+
     cost = kept.cost_to_lqr
     return (
         kept.proved and not response_faults(kept),
         kept.arrivals,
         -np.inf if cost is None else -cost,
     )
-
-
-def _saved(made: Design, certificate: Certificate, out: Path) -> list[Path]:
-    """Write the design and its certificate."""
-    return [
-        made.save(out / "design.json"),
-        write_text(out / "certificate.json", certificate.to_json()),
-    ]
 
 
 @dataclass(frozen=True, eq=False)
@@ -290,6 +329,9 @@ class _Motion:
 
 def _simulated(made: Design, clock: Clock) -> _Motion:
     """Simulate, for no longer than somebody waits."""
+    from necc_casadi.simulation.convergence import simulated_share
+    from necc_casadi.simulation.responses import random_states, simulate
+
     with clock.stage("simulate", "simulating"):
         ends = time.perf_counter() + _PATIENCE
         responses = tuple(
@@ -299,67 +341,59 @@ def _simulated(made: Design, clock: Clock) -> _Motion:
         return _Motion(responses, simulated_share(made, made.momenta, made.seed))
 
 
-@dataclass(frozen=True)
-class _Export:
-    """Code that was written, and the loop that it makes with the sample time asked for."""
-
-    files: tuple[Path, ...]
-    sampling: SampledLoop | None
-
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """What to know about the sample time."""
-        warning = None if self.sampling is None else self.sampling.warning
-        return () if warning is None else (warning,)
-
-
 def _compared(request: Request, task: _Task, made: Design, clock: Clock) -> Performance:
     """Measure the design beside LQR and the optimum, and on plants that differ a little."""
     from necc_casadi.performance.measure import measure
 
-    given, values = read_parameters(request.param), task.model.params
     with clock.stage("compare", "comparing with LQR and the optimum"):
         others = {}
-        for name, value in values.items():
+        for name, value in task.model.params.items():
             if value != 0:
-                changed = {**given, name: sp.sstr(value * _LARGER)}
+                changed = f"{name}={sp.sstr(value * _LARGER)}"
                 with contextlib.suppress(InputError):  # no such plant: nothing to hold
-                    others[name] = load_model(request.model, changed).system
+                    others[name] = read_model(request, changed).system
         return measure(made, cost=task.options.cost(made.sizes, made.loop.plant.n), others=others)
 
 
 def _exported(
     request: Request, made: Design, certificate: Certificate, out: Path, clock: Clock
-) -> _Export:
-    """Write the C controller and what was asked for around it; look at the sampled loop."""
+) -> list[Path]:
+    """Write the C controller and what was asked for around it."""
     from necc_casadi.export.c_project import export_c
     from necc_casadi.export.fmu import export_fmu
     from necc_casadi.export.matlab import export_mex
-    from necc_casadi.export.sampled_loop import analyse_sampling
 
-    time, integrator = request.sample_time, request.integrator
     common: dict[str, Any] = {
         "real": request.real,
-        "sample_time": time,
-        "integrator": integrator,
+        "sample_time": request.sample_time,
+        "integrator": request.integrator,
         "prefix": request.prefix,
         "certificate": certificate,
     }
     with clock.stage("export", "writing the C controller"):
         files = export_c(made, out / "c", **common)
         if request.fmu:
-            name = re.sub(r"\W", "_", request.model.stem)
-            files.append(export_fmu(made, out / f"{name}.fmu", **common))
+            files.append(export_fmu(made, out / f"{request.word}.fmu", **common))
         if request.mex:
             files.append(export_mex(made, out / "matlab", request.prefix))
-    sampling = None if time is None else analyse_sampling(made, time, integrator)
-    return _Export(tuple(files), sampling)
+    return files
+
+
+def _sampled(request: Request, made: Design) -> SampledLoop | None:
+    """The loop that the C code makes with the sample time asked for."""
+    if request.sample_time is None:
+        return None
+    from necc_casadi.export.sampled_loop import analyse_sampling
+
+    return analyse_sampling(made, request.sample_time, request.integrator)
 
 
 def _swept(
     values: tuple[float, float, int], task: _Task, options: Options, clock: Clock
 ) -> tuple[SweepPoint, ...]:
     """Designs made like the one that is kept, whether a network can reach their a or not."""
+    from necc_casadi.pipeline.sweep import sweep_a
+
     with clock.stage("sweep", "sweeping a"):
         return sweep_a(
             values,
@@ -368,40 +402,21 @@ def _swept(
         )
 
 
-def _drawn(
-    request: Request,
-    made: Design,
-    certificate: Certificate,
-    responses: Sequence[Trajectory],
-    sweep: Sequence[SweepPoint],
-    performance: Performance | None,
-    out: Path,
-    clock: Clock,
-) -> list[Path]:
-    """Draw what there is to see."""
-    if not request.plots:
-        return []
-    with clock.stage("figures", "drawing"):
-        figures = {
-            "lyapunov": lyapunov_figure(made),
-            "responses": responses_figure(made, responses),
-        }
-        if certificate.level is not None:
-            starts = region_boundary(made, certificate.level, certificate.reach)
-            inside = [simulate(made, start, made.xi_star, points=_POINTS) for start in starts]
-            figures["region"] = region_figure(made, certificate.level, inside, certificate.reach)
-        landscape = landscape_figure(made, certificate)
-        if landscape is not None:
-            figures["landscape"] = landscape
-        if performance is not None:
-            from necc_casadi.report.comparison_figures import frequency_figure, step_figure
+def _drawn(request: Request, found: Findings, out: Path, clock: Clock) -> list[Path]:
+    """Draw what there is to see, and write the page that shows it."""
+    from necc_casadi.report.gallery import figures_of
+    from necc_casadi.report.page import report
+    from necc_casadi.report.style import picture
 
-            compared = {
-                "step": step_figure(made, performance),
-                "loop": frequency_figure(made, performance),
-            }
-            figures |= {name: figure for name, figure in compared.items() if figure is not None}
-        if sweep:
-            figures["sweep"] = sweep_figure(made, sweep)
-        folder = out / "figures"
-        return [write_figure(figure, folder / f"{name}.png") for name, figure in figures.items()]
+    figures, kind = {}, request.format
+    drawn: list[Path] = []
+    if request.plots:
+        with clock.stage("figures", "drawing"):
+            figures = figures_of(found)
+            drawn = [
+                write_text(out / "figures" / f"{name}.{kind}", picture(figure, kind))
+                for name, figure in figures.items()
+            ]
+    with clock.stage("report", "writing the report"):
+        page = report(found, figures, request.command)
+        return [*drawn, write_text(out / REPORT, page)]

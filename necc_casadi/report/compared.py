@@ -12,7 +12,7 @@ from necc_casadi.model.modulated import System
 if TYPE_CHECKING:
     from necc_casadi.performance.measure import Performance, Rating
 
-__all__ = ["comparison", "error_lines"]
+__all__ = ["cells", "comparison", "error_lines"]
 
 
 #: Columns of a label and of each controller.
@@ -21,6 +21,11 @@ _LABEL, _COLUMN = 30, 15
 
 def comparison(found: Performance, plant: System) -> list[str]:
     """Lines of the table, of one width."""
+    return [_line(row) for row in cells(found, plant)]
+
+
+def cells(found: Performance, plant: System) -> list[list[str]]:
+    """The table: a label and one cell per controller in each row, their names in the first."""
     shown: list[tuple[str, Rating]] = [("this design", found.design)]
     shown += [("LQR", found.lqr)] if found.lqr is not None else []
     shown += [("optimum", found.optimum)] if found.optimum is not None else []
@@ -47,7 +52,7 @@ def comparison(found: Performance, plant: System) -> list[str]:
         )
         row("disk margin α, at most 2", [f"{m.disk:.2f}" for m in with_margins])
         row("delay margin, s", [_number(m.delay) for m in with_margins])
-    return [_line(cells) for cells in rows]
+    return rows
 
 
 def error_lines(found: Performance, plant: System) -> list[str]:
@@ -74,8 +79,8 @@ def _error(error: Vector | None, plant: System) -> str:
 _NOTHING = 1e-9
 
 
-def _line(cells: list[str]) -> str:
-    label, *others = cells
+def _line(row: list[str]) -> str:
+    label, *others = row
     return f"{label:<{_LABEL}}" + "".join(f"{cell:>{_COLUMN}}" for cell in others)
 
 

@@ -11,12 +11,22 @@ from matplotlib.figure import Figure
 
 from necc_casadi.arrays import Vector
 from necc_casadi.designs.design import Design
+from necc_casadi.model.sizes import input_names
 from necc_casadi.performance.margins import Sweep
 from necc_casadi.performance.measure import Curve, Loop, Performance
 from necc_casadi.report.figures import draw_limits, named_input, named_state
+from necc_casadi.report.style import Drawing
 from necc_casadi.report.ticks import engineering, finished, logarithmic
 
-__all__ = ["frequency_figure", "step_figure"]
+__all__ = [
+    "draw_gain",
+    "draw_nyquist",
+    "draw_phase",
+    "draw_step",
+    "frequency_figure",
+    "step_figure",
+    "step_names",
+]
 
 
 #: Colour and line of each controller.
@@ -40,30 +50,45 @@ def step_figure(design: Design, found: Performance) -> Figure | None:
     if not found.step:
         return None
     n = design.loop.plant.n
-    states = _telling(found.step, design)
-    inputs = range(min(design.loop.plant.m, _MOST_INPUTS))
-    panels = len(states) + len(inputs)
-    columns = min(3, panels)
-    rows = -(-panels // columns)
-    figure = Figure(figsize=(3.8 * columns, 2.4 * rows + 0.9), layout="constrained")
+    names = step_names(design, found)
+    columns = min(3, len(names))
+    rows = -(-len(names) // columns)
+    figure = Drawing(figsize=(3.8 * columns, 2.4 * rows + 0.9), layout="constrained")
     axes = figure.subplots(rows, columns, squeeze=False).ravel()
-    for k, axis in zip(states, axes, strict=False):
-        _panel(axis, [(c, c.x[:, k]) for c in found.step], float(design.z_star[k]))
-        finished(axis, [("x", "time", "s"), ("y", *named_state(design, k))])
-    held = design.control(design.z_star[:n], design.xi_star)[0]
-    for k, axis in zip(inputs, axes[len(states) :], strict=False):
-        _panel(axis, [(c, c.u[:, k]) for c in found.step], float(held[k]))
-        draw_limits(axis, design, k)
-        finished(axis, [("x", "time", "s"), ("y", *named_input(design, k))])
-    for axis in axes[panels:]:
+    for name, axis in zip(names, axes, strict=False):
+        draw_step(axis, design, found, name)
+    for axis in axes[len(names) :]:
         axis.remove()
     handles, labels = axes[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=3, fontsize=8)
-    left_out = "" if len(states) == n else f", {len(states)} of {n} states"
+    shown = sum(name in design.loop.plant.states for name in names)
+    left_out = "" if shown == n else f", {shown} of {n} states"
     figure.suptitle(
         f"{design.loop.plant.name}: from one size below the target{left_out}", fontsize=11
     )
     return figure
+
+
+def step_names(design: Design, found: Performance) -> list[str]:
+    """What a figure of the step has panels for: states and inputs, by name."""
+    states = [design.loop.plant.states[k] for k in _telling(found.step, design)]
+    return [*states, *input_names(design.loop.plant.m)[:_MOST_INPUTS]]
+
+
+def draw_step(axis: Axes, design: Design, found: Performance, name: str) -> None:
+    """A plant state or an input in the step, beside LQR and the optimum, on any axes."""
+    states, n = design.loop.plant.states, design.loop.plant.n
+    if name in states:
+        k = states.index(name)
+        _panel(axis, [(c, c.x[:, k]) for c in found.step], float(design.z_star[k]))
+        label = named_state(design, k)
+    else:
+        k = input_names(design.loop.plant.m).index(name)
+        held = design.control(design.z_star[:n], design.xi_star)[0]
+        _panel(axis, [(c, c.u[:, k]) for c in found.step], float(held[k]))
+        draw_limits(axis, design, k)
+        label = named_input(design, k)
+    finished(axis, [("x", "time", "s"), ("y", *label)])
 
 
 def _panel(axis: Axes, curves: Sequence[tuple[Curve, Vector]], target: float) -> None:
@@ -98,52 +123,68 @@ def frequency_figure(design: Design, found: Performance) -> Figure | None:
     if not found.loops:
         return None
     m = min(design.loop.plant.m, _MOST_INPUTS)
-    figure = Figure(figsize=(9.6, 4.2 * m + 0.5), layout="constrained")
+    figure = Drawing(figsize=(9.6, 4.2 * m + 0.5), layout="constrained")
     for k in range(m):
         sides = figure.add_gridspec(m, 1)[k].subgridspec(2, 2, width_ratios=(3, 2))
         gain = figure.add_subplot(sides[0, 0])
         phase = figure.add_subplot(sides[1, 0], sharex=gain)
         plane = figure.add_subplot(sides[:, 1])
-        for loop in found.loops:
-            _bode(gain, phase, loop.name, loop.inputs[k])
-            plane.plot(*_plane(loop.inputs[k]), label=_margin_text(loop), **_STYLE[loop.name])
-        _frame(gain, phase, [loop.inputs[k] for loop in found.loops])
+        draw_gain(gain, found, k)
+        draw_phase(phase, found, k)
+        draw_nyquist(plane, found, k)
+        gain.set_xlabel("")
+        gain.tick_params(labelbottom=False)
         gain.set_title(f"L with the loop broken at {named_input(design, k)[0]}", fontsize=10)
-        _nyquist(plane)
     handles, labels = plane.get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", fontsize=8)
     figure.suptitle(f"{design.loop.plant.name}: loop at the plant's input", fontsize=11)
     return figure
 
 
-def _bode(gain: Axes, phase: Axes, name: str, sweep: Sweep) -> None:
-    gain.loglog(sweep.w, np.abs(sweep.L), **_STYLE[name])
-    angle = np.degrees(np.unwrap(np.angle(sweep.L)))
-    crossing = int(np.argmin(np.abs(np.log(np.abs(sweep.L) + np.finfo(float).tiny))))
-    angle -= 360 * np.round((angle[crossing] + 90) / 360)  # near −90° where it matters
-    phase.semilogx(sweep.w, angle, **_STYLE[name])
+def draw_gain(axis: Axes, found: Performance, k: int) -> None:
+    """Bode's diagram of |L| with the loop broken at input k, on any axes."""
+    for loop in found.loops:
+        axis.loglog(
+            loop.inputs[k].w, np.abs(loop.inputs[k].L), label=loop.name, **_STYLE[loop.name]
+        )
+    axis.set_xlim(*_crossings(found, k))
+    axis.set_ylim(10**-_DECADES, 10**_DECADES)
+    axis.axhline(1, color="0.5", lw=0.8)
+    logarithmic(axis, "y")
+    axis.set_ylabel("|L|")
+    _over_frequency(axis)
 
 
-def _frame(gain: Axes, phase: Axes, sweeps: Sequence[Sweep]) -> None:
+def draw_phase(axis: Axes, found: Performance, k: int) -> None:
+    """Bode's diagram of the phase of L with the loop broken at input k, on any axes."""
+    for loop in found.loops:
+        sweep = loop.inputs[k]
+        angle = np.degrees(np.unwrap(np.angle(sweep.L)))
+        crossing = int(np.argmin(np.abs(np.log(np.abs(sweep.L) + np.finfo(float).tiny))))
+        angle -= 360 * np.round((angle[crossing] + 90) / 360)  # near −90° where it matters
+        axis.semilogx(sweep.w, angle, label=loop.name, **_STYLE[loop.name])
+    axis.set_xlim(*_crossings(found, k))
+    axis.axhline(-180, color="0.5", lw=0.8)
+    axis.set_ylabel("phase [°]")
+    axis.set_yticks(_angles(axis))
+    _over_frequency(axis)
+
+
+def _over_frequency(axis: Axes) -> None:
+    logarithmic(axis, "x")
+    axis.set_xlabel("frequency [rad/s]")
+    axis.grid(alpha=0.25)
+
+
+def _crossings(found: Performance, k: int) -> tuple[float, float]:
+    """Frequencies around those at which |L| is near 1."""
     low, high = [], []
-    for sweep in sweeps:
+    for sweep in (loop.inputs[k] for loop in found.loops):
         near = np.flatnonzero(np.abs(np.log10(np.abs(sweep.L) + np.finfo(float).tiny)) < 1.5)
         picked = sweep.w[near] if near.size else sweep.w
         low.append(float(picked[0]))
         high.append(float(picked[-1]))
-    gain.set_xlim(min(low) / 3, max(high) * 3)
-    gain.set_ylim(10**-_DECADES, 10**_DECADES)
-    gain.axhline(1, color="0.5", lw=0.8)
-    phase.axhline(-180, color="0.5", lw=0.8)
-    logarithmic(gain, "y")
-    logarithmic(phase, "x")
-    gain.set_ylabel("|L|")
-    gain.tick_params(labelbottom=False)
-    phase.set_ylabel("phase [°]")
-    phase.set_yticks(_angles(phase))
-    phase.set_xlabel("frequency [rad/s]")
-    for axis in (gain, phase):
-        axis.grid(alpha=0.25)
+    return min(low) / 3, max(high) * 3
 
 
 def _angles(phase: Axes) -> Vector:
@@ -159,16 +200,19 @@ def _plane(sweep: Sweep) -> tuple[Vector, Vector]:
     return np.real(shown), np.imag(shown)
 
 
-def _nyquist(plane: Axes) -> None:
+def draw_nyquist(axis: Axes, found: Performance, k: int) -> None:
+    """Nyquist's diagram of L with the loop broken at input k, on any axes."""
+    for loop in found.loops:
+        axis.plot(*_plane(loop.inputs[k]), label=_margin_text(loop), **_STYLE[loop.name])
     circle = np.exp(1j * np.linspace(0, 2 * np.pi, 181))
-    plane.plot(circle.real, circle.imag, color="0.7", lw=0.8)
-    plane.plot(-1, 0, "+", color="#a8324a", ms=10, mew=2)
-    plane.set_xlim(-3, 2)
-    plane.set_ylim(-3, 2)
-    plane.set_aspect("equal")
-    plane.grid(alpha=0.25)
-    plane.set_xlabel("Re L")
-    plane.set_ylabel("Im L")
+    axis.plot(circle.real, circle.imag, color="0.7", lw=0.8)
+    axis.plot(-1, 0, "+", color="#a8324a", ms=10, mew=2)
+    axis.set_xlim(-3, 2)
+    axis.set_ylim(-3, 2)
+    axis.set_aspect("equal")
+    axis.grid(alpha=0.25)
+    axis.set_xlabel("Re L")
+    axis.set_ylabel("Im L")
 
 
 def _margin_text(loop: Loop) -> str:

@@ -2,37 +2,47 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
-from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from necc_casadi.arrays import Vector
 from necc_casadi.certificate.claims.regions import Side
 from necc_casadi.designs.design import Design
-from necc_casadi.files import write_text
 from necc_casadi.model.sizes import input_names
 from necc_casadi.report.slices import Window, domain_window, shadow, slice_boundary, slice_values
+from necc_casadi.report.style import Drawing
 from necc_casadi.report.sweep_point import SweepPoint
-from necc_casadi.report.ticks import engineering, finished, logarithmic, panels
+from necc_casadi.report.ticks import (
+    engineering,
+    finished,
+    logarithmic,
+    panels,
+    power_of,
+    rounded,
+    scaled_label,
+)
 from necc_casadi.simulation.responses import Trajectory
 
 __all__ = [
+    "draw_contours",
+    "draw_distances",
     "draw_limits",
+    "draw_over_time",
+    "draw_region",
+    "draw_shares",
     "lyapunov_figure",
     "named_input",
     "named_state",
     "region_boundary",
     "region_figure",
     "responses_figure",
+    "shown_over_time",
     "sweep_figure",
-    "write_figure",
 ]
 
 
@@ -61,14 +71,6 @@ _ROUNDING = 1e-14
 _SMALL_SHARE = 0.02
 
 
-def write_figure(figure: Figure, path: Path, dpi: int = 120) -> Path:
-    """Write a PNG whole or not at all."""
-    buffer = io.BytesIO()
-    FigureCanvasAgg(figure)
-    figure.savefig(buffer, format="png", dpi=dpi, pil_kwargs={"compress_level": 4})
-    return write_text(path, buffer.getvalue())
-
-
 def named_state(design: Design, index: int) -> tuple[str, str]:
     """Name and unit of a state."""
     name = design.loop.states[index]
@@ -81,28 +83,51 @@ def lyapunov_figure(design: Design) -> Figure:
     i, j = window.pair
     A, B, values = slice_values(design, window)
 
-    figure = Figure(figsize=(10, 4.4))
+    figure = Drawing(figsize=(10, 4.4))
     figure.suptitle(f"{design.loop.plant.name}: Lyapunov function at ξ = ξ*")
     surface = figure.add_subplot(1, 2, 1, projection="3d")
     surface.set_position((0.0, 0.03, 0.46, 0.9))
     shown = _without_poles(values)
-    surface.plot_surface(A, B, shown, cmap="viridis", linewidth=0, alpha=0.9, rcount=40, ccount=40)
+    surface.plot_surface(
+        A, B, shown, cmap="viridis", linewidth=0, alpha=0.9, rcount=40, ccount=40, rasterized=True
+    )
     finished(
         surface,
         [("x", *named_state(design, i)), ("y", *named_state(design, j)), ("z", "V − V(z̄)", "")],
     )
-    surface.yaxis.labelpad = 8
+    surface.yaxis.labelpad = surface.zaxis.labelpad = 8
     surface.view_init(elev=28, azim=-60)
 
     flat = figure.add_axes((0.56, 0.21, 0.42, 0.65))
-    lines = flat.contour(A, B, shown, levels=_levels(values), cmap="viridis")
-    if np.isfinite(shown).all():  # beside a pole, numbers would stand on one another
-        labelled = _levels(values)[2::2]  # apart from the marks
-        flat.clabel(lines, levels=labelled, fontsize=7, fmt=lambda v: engineering(v, digits=2))
-    _mark_minima(design, flat, i, j)
+    draw_contours(flat, design)
     figure.legend(*flat.get_legend_handles_labels(), loc="lower right", ncols=2, fontsize=8)
-    flat.set_title("contours of V − V(z̄)", fontsize=10)
     return figure
+
+
+def draw_contours(axis: Axes, design: Design) -> None:
+    """Contours of V − V(z̄) over two coordinates through ξ*, with both minima."""
+    window = domain_window(design)
+    A, B, values = slice_values(design, window)
+    shown = _without_poles(values)
+    levels = _levels(values)
+    lines = axis.contour(A, B, shown, levels=levels, cmap="viridis")
+    power = power_of(float(levels[-1]))
+    if np.isfinite(shown).all():  # beside a pole, numbers would stand on one another
+        closed = [  # others end at the border, where numbers would be cut off
+            level
+            for level, curves in zip(levels.tolist(), lines.allsegs, strict=True)
+            if curves and all(len(c) > 2 and np.array_equal(c[0], c[-1]) for c in curves)
+        ]
+        labels = axis.clabel(
+            lines,
+            levels=closed[-1:1:-2][::-1],
+            fontsize=7,
+            fmt=lambda v: rounded(v / 10.0**power, 2),
+        )
+        for label in labels:
+            label.set_bbox({"facecolor": "white", "edgecolor": "none", "pad": 0.5})
+    axis.set_title(scaled_label("contours of V − V(z̄)", "", power), fontsize=10)
+    _mark_minima(design, axis, *window.pair)
 
 
 def _mark_minima(design: Design, axis: Axes, i: int, j: int) -> None:
@@ -163,11 +188,26 @@ def region_figure(
 
     Responses leave the slice because ξ moves, but not the shadow.
     """
+    figure = panels(1, 1, (5.45, 4.1), legend=0.85)
+    axis = figure.add_subplot()
+    draw_region(axis, design, level, responses, reach)
+    figure.legend(loc="lower center", ncols=2, fontsize=8)
+    title = f"{design.loop.plant.name}: proved region Ω"
+    axis.set_title(f"{title}\ndomain: {_extent(design)}", fontsize=9)  # Ω may be a small part
+    return figure
+
+
+def draw_region(
+    axis: Axes,
+    design: Design,
+    level: float,
+    responses: Sequence[Trajectory] = (),
+    reach: Reach | None = None,
+) -> None:
+    """The proved region over V's contours on any axes; see :func:`region_figure`."""
     window, edge = _window(design, level, _telling_sides(design, reach))
     i, j = window.pair
     A, B, values = slice_values(design, window)
-    figure = panels(1, 1, (5.45, 4.1), legend=0.85)
-    axis = figure.add_subplot()
     shown, levels = _without_poles(values), _levels(values)
     axis.contour(A, B, shown, levels=levels, cmap="viridis", linewidths=0.7, alpha=0.6)
     axis.fill(*edge.T, color=_MINIMUM, alpha=0.10, label="Ω seen over all other states (computed)")
@@ -186,10 +226,6 @@ def region_figure(
     axis.set_xlim(window.lo[0], window.hi[0])
     axis.set_ylim(window.lo[1], window.hi[1])
     finished(axis, [("x", *named_state(design, i)), ("y", *named_state(design, j))])
-    figure.legend(loc="lower center", ncols=2, fontsize=8)
-    title = f"{design.loop.plant.name}: proved region Ω"
-    axis.set_title(f"{title}\ndomain: {_extent(design)}", fontsize=9)  # Ω may be a small part
-    return figure
 
 
 def _leaving(responses: Sequence[Trajectory]) -> str:
@@ -231,36 +267,19 @@ def _without_poles(values: Vector) -> Vector:
 
 def responses_figure(design: Design, trajectories: Sequence[Trajectory]) -> Figure:
     """Every state and input over time, targets dashed, and V along the responses."""
-    shown = _telling_states(design, trajectories)
-    names = [named_state(design, k) for k in shown]
-    inputs = min(design.loop.plant.m, _MOST_PANELS)
-    count = len(names) + inputs + 1
+    names = shown_over_time(design, trajectories)
+    count = len(names)
     unsettled = any(not response.converged for response in trajectories)
     columns = min((3, 4), key=lambda number: -count % number)  # the fewest gaps
     rows = -(-count // columns)
     figure = panels(rows, columns, (2.8, 1.75), legend=0.3 if unsettled else 0.0)
     total = len(design.loop.states)
-    left_out = f" ({len(shown)} of {total} states)" if len(shown) < total else ""
+    shown = sum(name in design.loop.states for name in names)
+    left_out = f" ({shown} of {total} states)" if shown < total else ""
     figure.suptitle(f"{design.loop.plant.name}: closed-loop responses, targets dashed{left_out}")
     axes = figure.subplots(rows, columns, squeeze=False, sharex=True).ravel()
-    steady, _ = design.control(
-        design.z_bar[: design.loop.plant.n], design.z_bar[design.loop.plant.n :]
-    )
-    for k, axis in enumerate(axes[:count]):
-        for response in trajectories:
-            color = _INK if response.converged else _UNSETTLED
-            values = _panel(design, response, k, shown, inputs)
-            axis.plot(response.t, values, lw=0.9, color=color, alpha=0.7)
-        if k < len(names):
-            axis.axhline(design.z_star[shown[k]], ls="--", lw=1, color=_TARGET)
-            finished(axis, [("y", *names[k])])
-        elif k < len(names) + inputs:
-            axis.axhline(steady[k - len(names)], ls="--", lw=1, color=_TARGET)
-            draw_limits(axis, design, k - len(names))
-            finished(axis, [("y", *named_input(design, k - len(names)))])
-        else:
-            _decay_axis(axis)
-        axis.grid(alpha=0.25)
+    for name, axis in zip(names, axes, strict=False):
+        draw_over_time(axis, design, trajectories, name)
     if unsettled:
         outcomes = {response.converged for response in trajectories}
         lines = [
@@ -280,6 +299,37 @@ def responses_figure(design: Design, trajectories: Sequence[Trajectory]) -> Figu
     return figure
 
 
+def shown_over_time(design: Design, trajectories: Sequence[Trajectory]) -> list[str]:
+    """What a figure of responses has panels for: states, inputs and V, by name."""
+    states = [design.loop.states[k] for k in _telling_states(design, trajectories)]
+    return [*states, *input_names(design.loop.plant.m)[:_MOST_PANELS], "V"]
+
+
+def draw_over_time(
+    axis: Axes, design: Design, trajectories: Sequence[Trajectory], name: str
+) -> None:
+    """A state, an input, or V − V(z̄) as ``V``, along responses on any axes."""
+    states, inputs = design.loop.states, input_names(design.loop.plant.m)
+    n = design.loop.plant.n
+    for response in trajectories:
+        color = _INK if response.converged else _UNSETTLED
+        values = _over_time(design, response, name)
+        axis.plot(response.t, values, lw=0.9, color=color, alpha=0.7)
+    if name in states:
+        k = states.index(name)
+        axis.axhline(design.z_star[k], ls="--", lw=1, color=_TARGET)
+        finished(axis, [("y", *named_state(design, k))])
+    elif name in inputs:
+        k = inputs.index(name)
+        steady = design.control(design.z_bar[:n], design.z_bar[n:])[0]
+        axis.axhline(steady[k], ls="--", lw=1, color=_TARGET)
+        draw_limits(axis, design, k)
+        finished(axis, [("y", *named_input(design, k))])
+    else:
+        _decay_axis(axis)
+    axis.grid(alpha=0.25)
+
+
 def _telling_states(design: Design, trajectories: Sequence[Trajectory]) -> list[int]:
     """All states where they fit, else those that travel farthest, in order."""
     total = len(design.loop.states)
@@ -289,11 +339,12 @@ def _telling_states(design: Design, trajectories: Sequence[Trajectory]) -> list[
     return sorted(int(k) for k in np.argsort(-travel)[:_MOST_PANELS])
 
 
-def _panel(design: Design, response: Trajectory, k: int, shown: list[int], inputs: int) -> Vector:
-    if k < len(shown):
-        return response.z[:, shown[k]]
-    if k < len(shown) + inputs:
-        return response.u[:, k - len(shown)]
+def _over_time(design: Design, response: Trajectory, name: str) -> Vector:
+    states, inputs = design.loop.states, input_names(design.loop.plant.m)
+    if name in states:
+        return response.z[:, states.index(name)]
+    if name in inputs:
+        return response.u[:, inputs.index(name)]
     return np.maximum(response.V - response.V_bar, _ROUNDING * design.sizes.energy)
 
 
@@ -322,11 +373,11 @@ def _decay_axis(axis: Axes) -> None:
 
 def sweep_figure(design: Design, points: Sequence[SweepPoint]) -> Figure:
     """Against a: ‖z̄ − z*‖ with its two bounds; below, how much of the domain is proved."""
-    figure = Figure(figsize=(6.4, 7.0), layout="constrained")
+    figure = Drawing(figsize=(6.4, 7.0), layout="constrained")
     figure.suptitle(f"{design.loop.plant.name}: designs against a", fontsize=11)
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
-    _distances(upper, points, float(np.spacing(np.linalg.norm(design.z_star))))
-    _shares(lower, points)
+    draw_distances(upper, design, points)
+    draw_shares(lower, points)
     ceiling = design.verdict.a_max
     for axis in (upper, lower):
         axis.grid(alpha=0.25)
@@ -339,8 +390,9 @@ def sweep_figure(design: Design, points: Sequence[SweepPoint]) -> Figure:
     return figure
 
 
-def _distances(axis: Axes, points: Sequence[SweepPoint], rounding: float) -> None:
+def draw_distances(axis: Axes, design: Design, points: Sequence[SweepPoint]) -> None:
     """Distance and bounds; what is smaller than one rounding of z* lies in a band of its own."""
+    rounding = float(np.spacing(np.linalg.norm(design.z_star)))
     series = (
         ("paper's bound ε/(a − ε)", [p.bound_paper for p in points], "s--", _TARGET),
         ("proved bound g/μ", [p.bound_rigorous for p in points], "^-", _MINIMUM),
@@ -356,7 +408,7 @@ def _distances(axis: Axes, points: Sequence[SweepPoint], rounding: float) -> Non
     axis.set_ylabel("distance from the target")
 
 
-def _shares(axis: Axes, points: Sequence[SweepPoint]) -> None:
+def draw_shares(axis: Axes, points: Sequence[SweepPoint]) -> None:
     """Proved beside simulated; a cross on the axis where no region is proved."""
     a = [p.a for p in points]
     series = (

@@ -11,20 +11,21 @@ import sympy as sp
 
 from necc_casadi.certificate.claims.certificate import Certificate
 from necc_casadi.certificate.claims.claim import Claim
-from necc_casadi.choice.choose import Choice
-from necc_casadi.choice.fitness import response_faults, response_warnings
 from necc_casadi.designs.design import Design
 from necc_casadi.designs.error_bound import ACCEPTED_LOSS, natural_loss
 from necc_casadi.designs.measures import Measures, measure
-from necc_casadi.export.sampled_loop import SampledLoop
+from necc_casadi.errors import OptionError
 from necc_casadi.methods.find import Found
 from necc_casadi.methods.method import Method
 from necc_casadi.model.modulated import System
+from necc_casadi.model.parametric import Parametric
 from necc_casadi.report.sweep_point import SweepPoint
-from necc_casadi.simulation.responses import Trajectory
 
-if TYPE_CHECKING:
+if TYPE_CHECKING:  # a verdict alone needs none of these
+    from necc_casadi.choice.choose import Choice
+    from necc_casadi.export.sampled_loop import SampledLoop
     from necc_casadi.performance.measure import Performance
+    from necc_casadi.simulation.responses import Trajectory
     from necc_casadi.synthesis.asked import Asked
 
 __all__ = ["Findings", "attracts", "global_claim", "region_claim"]
@@ -47,6 +48,7 @@ class Findings:
     asked: Asked | None = None  # of the response
     performance: Performance | None = None  # with --compare
     sweep: Sequence[SweepPoint] = ()
+    parametric: Parametric | None = None  # the plant with its parameters as symbols
     notes: tuple[str, ...] = ()
     files: tuple[str, ...] = ()  # relative to the folder that was written
     timings: Mapping[str, float] = field(default_factory=dict)  # s, by stage
@@ -60,6 +62,23 @@ class Findings:
     def measures(self) -> Measures | None:
         """What the design reached."""
         return None if self.design is None else measure(self.design)
+
+    @property
+    def finished(self) -> tuple[Design, Certificate]:
+        """The design and what is proved of it.
+
+        Raises
+        ------
+        OptionError
+            Where the run ended before a design.
+        """
+        if self.design is None or self.certificate is None:
+            raise OptionError(
+                "usage",
+                f"{self.system.name}: there is no design, the run ended {self.status}",
+                "The verdict says why, and what would work.",
+            )
+        return self.design, self.certificate
 
     @property
     def status(self) -> str:
@@ -77,12 +96,20 @@ class Findings:
     @property
     def faults(self) -> tuple[str, ...]:
         """What the response has against what is claimed: nothing is certified then."""
-        return () if self.choice is None else response_faults(self.choice.kept)
+        if self.choice is None:
+            return ()
+        from necc_casadi.choice.fitness import response_faults
+
+        return response_faults(self.choice.kept)
 
     @property
     def warnings(self) -> tuple[str, ...]:
         """What the response has beyond what is claimed, and V elsewhere."""
-        return () if self.choice is None else response_warnings(self.choice)
+        if self.choice is None:
+            return ()
+        from necc_casadi.choice.fitness import response_warnings
+
+        return response_warnings(self.choice)
 
     @property
     def exit_code(self) -> int:

@@ -18,7 +18,7 @@ from necc_casadi.certificate.prover.region.obstacle import search
 from necc_casadi.designs.design import Design
 from necc_casadi.report.ticks import engineering, finished, panels
 
-__all__ = ["landscape_figure"]
+__all__ = ["draw_landscape", "landscape_figure"]
 
 
 _INK, _OBSTACLE, _MINIMUM, _OTHER = "#1f4e79", "#d9730d", "#2e7d32", "#a8324a"
@@ -45,18 +45,25 @@ def landscape_figure(design: Design, certificate: Certificate) -> Figure | None:
 
     None where no region is proved, or s is none or more than two states.
     """
-    region, obstacle = certificate.region, certificate.obstacle
-    if not isinstance(region, Region) or obstacle is None or not 1 <= len(region.kept) <= _MOST:
-        return None
-    picture = _Picture(design, region, obstacle, certificate.level_above_minimum or 0.0)
     figure = panels(1, 1, (5.45, 3.3), legend=0.5)
     axis = figure.add_subplot()
-    (picture.curve if len(region.kept) == 1 else picture.plane)(axis)
+    if not draw_landscape(axis, design, certificate):
+        return None
     figure.legend(loc="lower center", ncols=2, fontsize=8)
     axis.set_title(
         f"{design.loop.plant.name}: the least V − V(z̄) over all other states", fontsize=10
     )
     return figure
+
+
+def draw_landscape(axis: Axes, design: Design, certificate: Certificate) -> bool:
+    """The same on any axes; False, and nothing drawn, where there is none."""
+    region, obstacle = certificate.region, certificate.obstacle
+    if not isinstance(region, Region) or obstacle is None or not 1 <= len(region.kept) <= _MOST:
+        return False
+    picture = _Picture(design, region, obstacle, certificate.level_above_minimum or 0.0)
+    (picture.curve if len(region.kept) == 1 else picture.plane)(axis)
+    return True
 
 
 @dataclass(frozen=True, eq=False)

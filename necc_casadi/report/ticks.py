@@ -11,7 +11,17 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import Formatter, FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 
-__all__ = ["engineering", "finished", "logarithmic", "panels", "scaled_label"]
+from necc_casadi.report.style import Drawing
+
+__all__ = [
+    "engineering",
+    "finished",
+    "logarithmic",
+    "panels",
+    "power_of",
+    "rounded",
+    "scaled_label",
+]
 
 
 #: Powers of ten between which numbers stand as they are.
@@ -48,7 +58,7 @@ def panels(rows: int, columns: int, panel: tuple[float, float], legend: float = 
     width = columns * (_LEFT + panel[0] + _RIGHT)
     below = _BELOW + legend
     height = _ABOVE + rows * panel[1] + (rows - 1) * _BETWEEN + below
-    figure = Figure(figsize=(width, height))
+    figure = Drawing(figsize=(width, height))
     figure.subplots_adjust(
         left=_LEFT / width,
         right=1 - _RIGHT / width,
@@ -60,7 +70,20 @@ def panels(rows: int, columns: int, panel: tuple[float, float], legend: float = 
     return figure
 
 
-def _power(largest: float) -> int:
+def rounded(value: float, digits: int = 3) -> str:
+    """A number from a tenth to a few thousands in so many digits, without an exponent.
+
+    Whole numbers keep all of theirs.
+    """
+    if not 0 < abs(value) < math.inf:
+        return f"{value:g}"
+    decimals = max(0, digits - 1 - math.floor(math.log10(abs(value))))
+    text = f"{value:.{decimals}f}"
+    text = text.rstrip("0").rstrip(".") if "." in text else text
+    return text.replace("-", "−")
+
+
+def power_of(largest: float) -> int:
     """The power of a thousand in which the largest magnitude is 1 to 1000; 0: as it stands."""
     if not largest > 0 or not math.isfinite(largest):
         return 0
@@ -85,8 +108,8 @@ def scaled_label(label: str, unit: str, power: int) -> str:
 
 def engineering(value: float, unit: str = "", digits: int = 3) -> str:
     """A number with its unit: ``3 µm``, ``1.19·10⁸ kg m/s``."""
-    power = _power(abs(value))
-    number = f"{value / 10.0**power:.{digits}g}".replace("-", "−")
+    power = power_of(abs(value))
+    number = rounded(value / 10.0**power, digits)
     if power == 0:
         return f"{number} {unit}".rstrip()
     if unit in _TAKES_PREFIX and power in _PREFIXES:
@@ -99,29 +122,40 @@ class _Scaled(Formatter):
 
     def __init__(self, power: int) -> None:
         self._factor = 10.0**power
-        self._digits, self._offset = 0, 0.0
+        self._digits, self._offset, self._offset_text, self._inner = 0, 0.0, "", 1.0
 
     def set_locs(self, locs: Any) -> None:
         """Choose digits and offset for these ticks."""
         values = sorted(float(v) / self._factor for v in locs)
-        self._digits, self._offset = 0, 0.0
+        self._digits, self._offset, self._offset_text, self._inner = 0, 0.0, "", 1.0
         if len(values) < 2 or not values[-1] > values[0]:
             return
         step = min(b - a for a, b in pairwise(values) if b > a)
-        self._digits = max(0, -math.floor(math.log10(step) + 1e-6))
-        self._digits += 0 if _is_round(step, self._digits) else 1
+        self._digits = _decimals(step)
         whole = len(str(int(max(abs(values[0]), abs(values[-1])))))
         if whole + self._digits > _MOST_DIGITS:
             self._offset = values[0]
+            power = power_of(values[-1] - values[0])
+            self._inner = 10.0**power
+            factor = f"·10{str(power).translate(_SUPERSCRIPT)} " if power else ""
+            self._offset_text = f"{factor}{self._offset:+.{self._digits}f}".replace("-", "−")
+            self._digits = _decimals(step / self._inner)
 
     def get_offset(self) -> str:
-        """What is added to every tick, if anything."""
-        return f"{self._offset:+.{self._digits}f}" if self._offset else ""
+        """What every tick is multiplied by, and what is added to it, if anything."""
+        return self._offset_text
 
     def __call__(self, x: float, pos: int | None = None) -> str:
         """The text of one tick."""
-        text = f"{x / self._factor - self._offset:.{self._digits}f}"
+        value = (x / self._factor - self._offset) / self._inner
+        text = f"{value:.{self._digits}f}"
         return text.replace("-", "−") if float(text) else text.replace("-", "")
+
+
+def _decimals(step: float) -> int:
+    """Digits behind the point that tell ticks apart."""
+    digits = max(0, -math.floor(math.log10(step) + 1e-6))
+    return digits if _is_round(step, digits) else digits + 1
 
 
 def power_of_ten(value: float, _pos: int | None = None) -> str:
@@ -147,7 +181,7 @@ def finished(axes: Axes, sides: Sequence[tuple[str, str, str]]) -> None:
     """Labels and ticks of linear sides, (``x``, label, unit) each, once limits are known."""
     for side, label, unit in sides:
         low, high = getattr(axes, f"get_{side}lim")()
-        power = _power(max(abs(low), abs(high)))
+        power = power_of(max(abs(low), abs(high)))
         getattr(axes, f"set_{side}label")(scaled_label(label, unit, power))
         axis = getattr(axes, f"{side}axis")
         axis.set_major_locator(MaxNLocator(_TICKS, steps=[1, 2, 2.5, 5, 10]))

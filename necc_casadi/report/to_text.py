@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 import textwrap
+from collections.abc import Sequence
+from pathlib import PurePosixPath
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,11 +13,10 @@ import sympy as sp
 
 from necc_casadi.casimirs.casimirs import Casimirs
 from necc_casadi.certificate.claims.certificate import Certificate
-from necc_casadi.choice.judged import Judged
+from necc_casadi.certificate.claims.claim import Claim
 from necc_casadi.designs.design import Design
 from necc_casadi.designs.measures import Measures
-from necc_casadi.designs.outcome import Residual, solver_seconds
-from necc_casadi.export.sampled_loop import SampledLoop
+from necc_casadi.designs.outcome import Residual
 from necc_casadi.model.modulated import System
 from necc_casadi.report.asked import asked_text, missed
 from necc_casadi.report.compared import comparison, error_lines
@@ -26,9 +27,20 @@ from necc_casadi.symbolic.floats import to_float
 from necc_casadi.verdict.verdict import Verdict
 
 if TYPE_CHECKING:
+    from necc_casadi.choice.judged import Judged
+    from necc_casadi.export.sampled_loop import SampledLoop
     from necc_casadi.performance.measure import Performance
 
-__all__ = ["percent", "rounded_down", "summary"]
+__all__ = [
+    "brief",
+    "facts",
+    "headline",
+    "mark",
+    "percent",
+    "rounded_down",
+    "summary",
+    "target_text",
+]
 
 
 #: Columns of a page, of the labels, and of the labels inside a block.
@@ -63,10 +75,24 @@ _MANY = 12
 _NOTHING = 1e-20
 
 
-def summary(found: Findings, width: int = _WIDTH) -> str:
-    """A page that says what was found, proved and written, in lines of so many columns."""
+def summary(found: Findings, width: int = _WIDTH, *, verbose: bool = False) -> str:
+    """What was found, proved and written, in lines of so many columns.
+
+    About ten lines; verbose, a page with every claim.
+    """
+    rows = [*facts(found), *_of_the_run(found)] if verbose else brief(found)
+    wrapped = [_wrapped(label, text, width) for label, text in rows]
+    return "\n".join([_headline(headline(found), width), "", *wrapped])
+
+
+def headline(found: Findings) -> str:
+    """The plant and the outcome; what is wrong comes first."""
+    return f"{found.system.name}: {_outcome(found)}"
+
+
+def facts(found: Findings) -> list[tuple[str, str]]:
+    """What was found and proved, as labels and texts; a function of the input alone."""
     published = found.found.published
-    lines = [_headline(f"{found.system.name}: {_outcome(found)}", width), ""]
     rows = [("target", _target(found))]
     if published is not None:
         rows.append(("Casimirs", _casimirs(published.casimirs)))
@@ -79,8 +105,7 @@ def summary(found: Findings, width: int = _WIDTH) -> str:
         rows.append(("learned", _learned(found.design.learned)))
     if found.choice is not None and found.choice.was_made:
         rows.append(("choice", found.choice.reason))
-    if found.asked is not None:
-        rows.append(("asked" if found.asked.met else "NOT met", asked_text(found.asked)))
+    rows += _asked_rows(found)
     if found.performance is not None:
         rows += _compared_rows(found.performance, found.system)
     if found.responses:
@@ -91,16 +116,74 @@ def summary(found: Findings, width: int = _WIDTH) -> str:
         rows.append(("sampled", _sampled(found.sampling)))
     if found.certificate is not None:
         rows += _region_rows(found, found.certificate)
-        for claim in found.certificate.claims:
-            missing = "open" if claim.name in _OPTIONAL_CLAIMS else "NOT proved"
-            mark = "proved" if claim.holds else missing
-            rows.append((mark, f"{claim.name}: {claim.statement}"))
-    rows += [("note", note) for note in found.notes]
-    if found.files:
-        rows.append(("written", ", ".join(found.files)))
+        rows += [
+            (mark(claim), f"{claim.name}: {claim.statement}") for claim in found.certificate.claims
+        ]
+    return rows + [("note", note) for note in found.notes]
+
+
+def mark(claim: Claim) -> str:
+    """What became of a claim, in a word or two."""
+    if claim.holds:
+        return "proved"
+    return "open" if claim.name in _OPTIONAL_CLAIMS else "NOT proved"
+
+
+def _of_the_run(found: Findings) -> list[tuple[str, str]]:
+    """What was written, and how long it took."""
+    rows = [("written", ", ".join(found.files))] if found.files else []
     if found.timings:
         rows.append(("seconds", ", ".join(f"{k} {v:.2g}" for k, v in found.timings.items())))
-    return "\n".join(lines + [_wrapped(label, text, width) for label, text in rows])
+    return rows
+
+
+def brief(found: Findings) -> list[tuple[str, str]]:
+    """A few rows: what a user looks at first, and everything that is wrong or missing."""
+    certificate = found.certificate
+    rows = [("target", _target(found))]
+    published = found.found.published
+    if published is not None:
+        rows.append(("Casimirs", _casimirs(published.casimirs)))
+        rows.append(("verdict", _verdict_text(published.verdict)))
+    rows += method_rows(found.found)
+    if found.design is not None and found.measures is not None:
+        rows.append(("design", _brief_design(found, found.measures)))
+    rows += _asked_rows(found)
+    if found.performance is not None:
+        rows += _compared_rows(found.performance, found.system)
+    if found.responses:
+        rows.append(("responses", _responses(found)))
+    if certificate is not None:
+        rows += _region_rows(found, certificate)[:2]
+        proved = [claim.name for claim in certificate.claims if claim.holds]
+        rows.append(("proved", ", ".join(proved) or "nothing"))
+        rows += [
+            (mark(claim), f"{claim.name}: {claim.statement}")
+            for claim in certificate.claims
+            if mark(claim) == "NOT proved"
+        ]
+    rows += [("note", note) for note in found.notes]
+    return rows + ([("written", _folders(found.files))] if found.files else [])
+
+
+def _brief_design(found: Findings, measures: Measures) -> str:
+    kept = found.choice.kept.name if found.choice is not None and found.choice.was_made else None
+    return (
+        f"loss ε = {measures.loss:.2g}; ‖z̄ − z*‖ = {measures.distance:.2g}; spectral abscissa "
+        f"{measures.spectrum[0].real:.4g} 1/s" + (f"; kept: {kept}" if kept else "")
+    )
+
+
+def _folders(files: Sequence[str]) -> str:
+    """Files at the top by name, those below by their folder."""
+    tops = dict.fromkeys(f"{PurePosixPath(f).parts[0]}/" if "/" in f else f for f in files)
+    return ", ".join(tops) + "   (-v: every claim, file and time)"
+
+
+def _asked_rows(found: Findings) -> list[tuple[str, str]]:
+    if found.asked is None:
+        return []
+    return [("asked" if found.asked.met else "NOT met", asked_text(found.asked))]
 
 
 def _headline(text: str, width: int) -> str:
@@ -152,6 +235,12 @@ def _compared_rows(performance: Performance, plant: System) -> list[tuple[str, s
     first, *lines = comparison(performance, plant)
     rows = [("compared", _tied(first)), *(("", _tied(line)) for line in lines)]
     return rows + [("", line) for line in error_lines(performance, plant)]
+
+
+def target_text(found: Findings) -> str:
+    """The target on one line, without units."""
+    plain = [f"{s} = {sp.sstr(found.x_star[s])}" for s in found.system.x[:_MANY]]
+    return ", ".join(plain) + (", …" if found.system.n > _MANY else "")
 
 
 def _target(found: Findings) -> str:
@@ -216,7 +305,7 @@ def _design_rows(
     names = design.loop.controller.states
     xi = ", ".join(f"{n}* = {v:.6g}" for n, v in zip(names, design.xi_star, strict=True))
     best = min(design.starts, key=lambda s: s.loss)
-    starts = f" in {len(design.starts)} starts" if len(design.starts) > 1 else ""
+    starts = f" in the best of {len(design.starts)} starts" if len(design.starts) > 1 else ""
     paper = measures.bound_paper
     rigorous = None if certificate is None else certificate.bound_rigorous
     bounds = (
@@ -230,8 +319,7 @@ def _design_rows(
         (
             "design",
             f"{xi}; ξ(0) = {begins}; loss ε = {measures.loss:.2g} at a = {design.a:.4g}; IPOPT: "
-            f"{best.explained.meaning}, {best.iterations} iterations, "
-            f"{solver_seconds(design.starts):.3f} s{starts}",
+            f"{best.explained.meaning}, {best.iterations} iterations{starts}",
         ),
         ("minimum", f"z̄ = ({z_bar}); ‖z̄ − z*‖ = {measures.distance:.2g}; {bounds}"),
         (

@@ -16,7 +16,7 @@ from necc_casadi.designs.design import Design
 from necc_casadi.interrupts import interruptible
 from necc_casadi.simulation.saturated import applied, saturated_field
 
-__all__ = ["Trajectory", "default_horizon", "random_states", "simulate"]
+__all__ = ["SETTLED", "Trajectory", "default_horizon", "random_states", "simulate"]
 
 
 #: A response has settled when it stays within this share of its first distance from z̄.

@@ -21,7 +21,7 @@ from necc_casadi.pipeline.request import Choices, Request, read_options, read_pa
 from necc_casadi.synthesis.options import Options, paper_options
 
 #: Options that say how the result is shown, or the contrary of a field.
-SHOWN = {"as_json", "debug", "no_plots", "version"}
+SHOWN = {"as_json", "debug", "every_claim", "no_plots", "version"}
 Literal = type(cases.Shape)
 
 
@@ -32,7 +32,7 @@ def names(kind) -> set[str]:
 def test_each_option_sets_one_field_and_each_field_has_an_option():
     options = {parameter.name for parameter in _design.params} - SHOWN
     assert not names(Request) & names(Choices)
-    assert options == (names(Request) | names(Choices)) - {"chosen", "plots", "verbose"}
+    assert options == (names(Request) | names(Choices)) - {"chosen", "command", "plots", "verbose"}
 
 
 def test_choices_are_fields_of_the_options_and_of_their_types():
@@ -46,7 +46,7 @@ def test_the_words_of_an_option_are_those_of_its_type():
     offered = {p.name: p.type for p in _design.params if isinstance(p.type, click.Choice)}
     hints = get_type_hints(Request) | get_type_hints(Choices)
     assert set(offered) == {
-        "activation", "casimir_form", "integrator", "method", "phi", "real", "shape"
+        "activation", "casimir_form", "format", "integrator", "method", "phi", "real", "shape",
     }  # fmt: skip
     for name, kind in offered.items():
         literal, *_ = [a for a in (hints[name], *get_args(hints[name])) if isinstance(a, Literal)]

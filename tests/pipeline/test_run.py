@@ -104,7 +104,7 @@ def test_the_summary_of_a_large_plant_is_short(tmp_path):
     Its 24 coupled states need no search: all are minimised out.
     """
     path = long_chain(tmp_path)
-    code, text, _ = design(path, "--no-plots", *SMALL, "--out", tmp_path / "o")
+    code, text, _ = design(path, "-v", "--no-plots", *SMALL, "--out", tmp_path / "o")
     assert code == 0, text
     assert "globally asymptotically stable" in text
     assert here(_certify, tmp_path / "o")[0] == 0

@@ -13,6 +13,7 @@ from necc_casadi.model.model_file import load_model
 from necc_casadi.report import figures
 from necc_casadi.report.landscape_figure import landscape_figure
 from necc_casadi.report.slices import telling_pair
+from necc_casadi.report.style import write_figure
 from necc_casadi.simulation.responses import random_states, simulate
 
 
@@ -218,6 +219,6 @@ def test_the_sweep_says_where_a_is_out_of_reach(default_design):
 
 def test_written_whole(default_design, response, tmp_path):
     path = tmp_path / "figures" / "responses.png"
-    figures.write_figure(figures.responses_figure(default_design, [response]), path)
+    write_figure(figures.responses_figure(default_design, [response]), path)
     assert path.read_bytes().startswith(b"\x89PNG")
     assert [p.name for p in path.parent.iterdir()] == ["responses.png"]

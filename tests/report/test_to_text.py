@@ -15,7 +15,7 @@ from necc_casadi.report.to_text import rounded_down, summary
 
 def block(found, width=98) -> list[str]:
     """The rows under ``region``."""
-    lines = summary(found, width).splitlines()
+    lines = summary(found, width, verbose=True).splitlines()
     start = next(k for k, line in enumerate(lines) if line.startswith("  region "))
     end = next(k for k in range(start + 1, len(lines)) if re.match(r"  \S", lines[k]))
     return [line.strip() for line in lines[start:end]]
@@ -93,7 +93,7 @@ def test_convergence_is_not_measured_where_nothing_is_to_converge(found):
 
 @pytest.mark.parametrize("width", [60, 80, 98])
 def test_the_page_fits_the_terminal(found, width):
-    page = summary(found, width)
+    page = summary(found, width, verbose=True)
     assert max(map(len, page.splitlines())) <= width
     assert "\N{NO-BREAK SPACE}" not in page
     assert re.search(r"p \S+ … \S+ kg m²/s", page)  # not torn apart

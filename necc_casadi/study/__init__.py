@@ -1,0 +1,1 @@
+"""Many plants, many designs: studies that can be stopped and go on."""

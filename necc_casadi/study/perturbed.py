@@ -1,0 +1,169 @@
+"""A finished controller on a plant whose parameters are other ones.
+
+The controller is the exported one, u within the limits of the model; the plant is that of the model
+with parameters θ as inputs, so that one integrator serves every plant.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+from necc_casadi.arrays import Vector
+from necc_casadi.designs.design import Design
+from necc_casadi.interrupts import interruptible
+from necc_casadi.lyapunov.sympy2casadi import casadi_function
+from necc_casadi.model.parametric import Parametric
+from necc_casadi.simulation.responses import SETTLED, default_horizon
+from necc_casadi.symbolic.derivatives import gradient
+from necc_casadi.symbolic.floats import to_float
+
+__all__ = ["OtherPlants", "Outcome"]
+
+
+#: A response is followed for so many default horizons, with so many outputs.
+_HORIZONS, _POINTS = 2.0, 401
+
+
+#: Error that a step allows, in natural units; steps between two outputs at most.
+_RELATIVE, _ABSOLUTE, _MOST_STEPS = 1e-8, 1e-10, 10_000
+
+
+#: Steps from the design's own plant to another one, Newton steps in each, and the last of them.
+_STEPS, _NEWTON, _SMALL = 10, 20, 1e-10
+
+
+#: An offset below this share of a state's size is rounding.
+_NOTHING = 1e-12
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """What becomes of one plant; in the units of the model."""
+
+    offset: Vector | None  # (n,) x at rest less x*; None: the loop does not stay at rest nearby
+    settling_times: Vector  # (starts,) s, to within 2 % of the way to that rest; ∞ where never
+    peak_input: Vector  # (m,) largest |u| of all starts
+
+    @property
+    def share(self) -> float:
+        """Of the starts that come to rest there."""
+        return float(np.isfinite(self.settling_times).mean())
+
+
+class OtherPlants:
+    """The loop of a design as a function of the plant's parameters."""
+
+    def __init__(self, design: Design, plant: Parametric) -> None:
+        self.design, natural = design, design.natural
+        self.names = [str(symbol) for symbol in plant.symbols]
+        self.nominal = np.array([to_float(plant.values[name]) for name in self.names])
+        self._natural = natural
+        self._field = self._as_field(plant)
+        self._rest = self._as_equations()
+        horizon = _HORIZONS * default_horizon(design)
+        self.grid = np.linspace(0.0, horizon, _POINTS)
+        self._integrator = self._as_integrator()
+
+    def _as_field(self, plant: Parametric) -> ca.Function:
+        """(z, θ, way) -> ż in natural units, and u asked for."""
+        own, units = self.design.loop.plant, self.design.units
+        known = (*own.x, *plant.symbols)
+        slopes = casadi_function("slopes", known, gradient(plant.H, own.x))
+        structure = casadi_function("structure", known, plant.J - plant.R)
+        ports = casadi_function("ports", known, plant.G)
+        V, n = self._natural.lyapunov, own.n
+        z = ca.MX.sym("z", V.terms.n + V.terms.nc)
+        theta = ca.MX.sym("theta", len(plant.symbols))
+        asked, xi_dot = V.control_law_function.call([z[:n], z[n:]])
+        u = asked
+        if self._natural.loop.plant.u_limits is not None:
+            low, high = np.array(self._natural.loop.plant.u_limits, float).T
+            u = ca.fmin(ca.fmax(asked, ca.DM(low)), ca.DM(high))
+        state, at = ca.DM(units.state[:n]), ca.vertcat(z[:n] * ca.DM(units.state[:n]), theta)
+        x_dot = structure(at) @ slopes(at) + ports(at) @ (u * ca.DM(units.input))
+        slope = ca.vertcat(x_dot * units.time / state, xi_dot)
+        return ca.Function("other", [z, theta], [slope, u], ["z", "theta"], ["z_dot", "u"])
+
+    def _as_equations(self) -> ca.Function:
+        """(z, θ) -> ż and ∂ż/∂z."""
+        z, theta = ca.MX.sym("z", len(self._natural.z_star)), ca.MX.sym("theta", len(self.names))
+        slope = self._field(z, theta)[0]
+        return ca.Function("rest", [z, theta], [slope, ca.jacobian(slope, z)])
+
+    def _as_integrator(self) -> ca.Function:
+        z, theta = ca.MX.sym("z", len(self._natural.z_star)), ca.MX.sym("theta", len(self.names))
+        options = {
+            "abstol": _ABSOLUTE,
+            "reltol": _RELATIVE,
+            "max_num_steps": _MOST_STEPS,
+            "show_eval_warnings": False,
+            "disable_internal_warnings": True,
+        }
+        field = {"x": z, "p": theta, "ode": self._field(z, theta)[0]}
+        times = (self.grid[1:] / self.design.units.time).tolist()
+        return ca.integrator("response", "cvodes", field, 0.0, times, options)
+
+    def at_rest(self, theta: Vector) -> Vector | None:
+        """Z at rest with these parameters, in natural units; None: none nearby that is stable."""
+        at = self._natural.z_bar
+        for share in np.linspace(0, 1, _STEPS + 1)[1:]:
+            values = self.nominal + share * (theta - self.nominal)
+            for _ in range(_NEWTON):
+                slope, A = (np.asarray(v, float) for v in self._rest.call([at, values]))
+                if not np.isfinite(A).all() or not np.isfinite(slope).all():
+                    return None
+                step = np.linalg.lstsq(A, slope.ravel(), rcond=None)[0]
+                at = at - step
+                if np.linalg.norm(step) < _SMALL:
+                    break
+            else:
+                return None
+        A = np.asarray(self._rest.call([at, theta])[1], float)
+        return at if np.linalg.eigvals(A).real.max() < 0 else None
+
+    def follow(self, theta: Vector, starts: Sequence[Vector]) -> Outcome:
+        """What becomes of plant states (n,) on the plant with parameters (p,)."""
+        units = self.design.units
+        rest = self.at_rest(theta)
+        times, peak = np.full(len(starts), np.inf), np.zeros(self.design.loop.plant.m)
+        for index, x0 in enumerate(starts):
+            z0 = np.concatenate([np.asarray(x0, float), self.design.xi_at_start(x0)]) / units.state
+            z = self._response(z0, theta)
+            u = np.asarray(self._field.call([z.T, np.tile(theta[:, None], len(z))])[1], float)
+            peak = np.fmax(peak, np.abs(u).max(axis=1) * units.input)
+            if rest is not None and len(z) == len(self.grid):
+                times[index] = self._settled(z, rest)
+        return Outcome(None if rest is None else self._offset(rest), times, peak)
+
+    def _offset(self, rest: Vector) -> Vector:
+        """X at rest less x*, without what is rounding, in the units of the model."""
+        n = self.design.loop.plant.n
+        away = rest[:n] - self._natural.z_star[:n]
+        rounding = np.abs(away) < _NOTHING * self._natural.sizes.state[:n]
+        return np.asarray(np.where(rounding, 0.0, away) * self.design.units.state[:n], float)
+
+    def _response(self, z0: Vector, theta: Vector) -> Vector:
+        """States at the times of the grid; the first alone where the integrator gives up."""
+        try:
+            with interruptible():
+                ends = np.asarray(self._integrator(x0=z0, p=theta)["xf"], float).T
+        except RuntimeError:  # the integrator's way to say that it cannot go on
+            return z0[None, :]
+        return np.vstack([z0, ends]) if np.isfinite(ends).all() else z0[None, :]
+
+    def _settled(self, z: Vector, rest: Vector) -> float:
+        """Time after which it stays within 2 % of the first distance from rest, s; ∞: never."""
+        distance = np.linalg.norm((z - rest) / self._natural.sizes.state, axis=1)
+        near = SETTLED * distance[0]
+        outside = np.flatnonzero(distance > near)
+        if outside.size == 0:
+            return 0.0
+        last = outside[-1]
+        if last + 1 >= len(z):
+            return float("inf")
+        way = (distance[last] - near) / (distance[last] - distance[last + 1])
+        return float(self.grid[last] + way * (self.grid[last + 1] - self.grid[last]))
