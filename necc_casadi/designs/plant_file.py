@@ -17,6 +17,7 @@ from necc_casadi.designs.layout import BROKEN
 from necc_casadi.errors import OutputError
 from necc_casadi.files import read_text, refuse_unfinished
 from necc_casadi.model.parametric import Parametric
+from necc_casadi.symbolic.derivatives import gradient
 from necc_casadi.symbolic.expressions import parse, to_text
 from necc_casadi.symbolic.identifiers import identifiers
 from necc_casadi.symbolic.zero import is_zero
@@ -116,6 +117,10 @@ def parse_plant(text: str) -> Parametric:
 def _same(plant: Parametric, design: Design) -> bool:
     """Whether nothing but the parameters' values tells it from the plant of the design."""
     own = design.loop.plant
+    if own.preliminary is not None:
+        flow = (plant.J - plant.R) * gradient(plant.H, own.x)
+        moved = [*(flow - own.drift), *(plant.G - own.directions)]
+        return all(is_zero(entry) is True for entry in moved)
     pairs = [(plant.H, own.H), *zip((*plant.J, *plant.R, *plant.G), (*own.J, *own.R, *own.G),
                                     strict=True)]  # fmt: skip
     return all(one == other or is_zero(one - other) is True for one, other in pairs)

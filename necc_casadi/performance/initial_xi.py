@@ -111,8 +111,9 @@ def _gain(design: Design, cost: QuadraticCost) -> Vector:
     W[:n, :n] += weights.Q
     closed = (A - B @ C) * size / size[:, None]
     P = solve_continuous_lyapunov(closed.T, -W * np.outer(size, size))
-    T = start_gain((P + P.T) / 2, n) * design.sizes.state[n:, None] / design.sizes.state[:n]
-    return np.array([[float(f"{v:.3g}") for v in row] for row in T])
+    T = start_gain((P + P.T) / 2, n) * size[n:, None] / size[:n]
+    rounded = np.array([[float(f"{v:.3g}") for v in row] for row in T])  # natural: no unit shows
+    return np.asarray(rounded * design.units.state[n:, None] / design.units.state[:n], float)
 
 
 def _is_better(arrived: Truth, cost: Vector, before: Truth, cost_before: Vector) -> bool:

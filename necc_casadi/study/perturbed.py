@@ -69,7 +69,7 @@ class OtherPlants:
         self._integrator = self._as_integrator()
 
     def _as_field(self, plant: Parametric) -> ca.Function:
-        """(z, θ, way) -> ż in natural units, and u asked for."""
+        """(z, θ) -> ż in natural units, and u; z = (x, s), s what the controller keeps."""
         own, units = self.design.loop.plant, self.design.units
         known = (*own.x, *plant.symbols)
         slopes = casadi_function("slopes", known, gradient(plant.H, own.x))
@@ -78,14 +78,14 @@ class OtherPlants:
         V, n = self._natural.lyapunov, own.n
         z = ca.MX.sym("z", V.terms.n + V.terms.nc)
         theta = ca.MX.sym("theta", len(plant.symbols))
-        asked, xi_dot = V.control_law_function.call([z[:n], z[n:]])
+        asked, s_dot = V.control_law_function.call([z[:n], z[n:]])
         u = asked
         if self._natural.loop.plant.u_limits is not None:
             low, high = np.array(self._natural.loop.plant.u_limits, float).T
             u = ca.fmin(ca.fmax(asked, ca.DM(low)), ca.DM(high))
         state, at = ca.DM(units.state[:n]), ca.vertcat(z[:n] * ca.DM(units.state[:n]), theta)
         x_dot = structure(at) @ slopes(at) + ports(at) @ (u * ca.DM(units.input))
-        slope = ca.vertcat(x_dot * units.time / state, xi_dot)
+        slope = ca.vertcat(x_dot * units.time / state, s_dot)
         return ca.Function("other", [z, theta], [slope, u], ["z", "theta"], ["z_dot", "u"])
 
     def _as_equations(self) -> ca.Function:
@@ -109,7 +109,7 @@ class OtherPlants:
 
     def at_rest(self, theta: Vector) -> Vector | None:
         """Z at rest with these parameters, in natural units; None: none nearby that is stable."""
-        at = self._natural.z_bar
+        at = self._natural.stored_z_bar
         for share in np.linspace(0, 1, _STEPS + 1)[1:]:
             values = self.nominal + share * (theta - self.nominal)
             for _ in range(_NEWTON):
@@ -131,7 +131,8 @@ class OtherPlants:
         rest = self.at_rest(theta)
         times, peak = np.full(len(starts), np.inf), np.zeros(self.design.loop.plant.m)
         for index, x0 in enumerate(starts):
-            z0 = np.concatenate([np.asarray(x0, float), self.design.xi_at_start(x0)]) / units.state
+            kept = self.design.lyapunov.stored(x0, self.design.xi_at_start(x0))
+            z0 = np.concatenate([np.asarray(x0, float), kept]) / units.state
             z = self._response(z0, theta)
             u = np.asarray(self._field.call([z.T, np.tile(theta[:, None], len(z))])[1], float)
             peak = np.fmax(peak, np.abs(u).max(axis=1) * units.input)

@@ -79,10 +79,9 @@ def test_the_same_run_gives_the_same_page(page, tmp_path):
 
 
 def test_a_name_is_no_markup(result):
-    plant = replace(result.findings.loop.plant, name="<b>&\"'</b>", units={"q": "<i>"})
-    loop = replace(result.findings.loop, plant=plant)
-    made = replace(result.design, loop=loop)
-    hostile = replace(result.findings, loop=loop, design=made)
+    plant = replace(result.findings.system, name="<b>&\"'</b>", units={"q": "<i>"})
+    made = replace(result.design, loop=replace(result.design.loop, plant=plant))
+    hostile = replace(result.findings, system=plant, design=made)
     page = report(hostile, figures_of(hostile), '"><script>x</script>')
     root = tree(page)
     assert not list(root.iter("script"))
