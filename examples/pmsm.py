@@ -31,3 +31,5 @@ target = {
     psi_q: coil * (friction * speed + load) / (pairs * magnet),
     p: inertia * speed,
 }
+reach = sp.Rational("0.1")  # Wb: the magnet's flux is never turned over
+domain = {psi_d: (-reach, reach), psi_q: (-reach, reach), p: (0, 2 * inertia * speed)}

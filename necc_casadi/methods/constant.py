@@ -325,6 +325,9 @@ def _energy(question: _Question, B: sp.Matrix) -> sp.Expr | None:
     forward = dict(zip(question.x, inside, strict=True))
     total: sp.Expr = sp.Integer(0)
     back = B.extract(list(range(r)), pivots).T.inv() * sp.Matrix(question.x).extract(pivots, [0])
+    off = sp.Matrix(question.x) - B.T * back
+    values = dict(zip([*w, *c], [*back, *(off[j] for j in rest)], strict=True))
+    there = {symbol: value_at(value, question.x_star) for symbol, value in values.items()}
     for i, s in enumerate(w):
         missing = question.s[i].subs(forward, simultaneous=True) - sp.diff(total, s)
         # equal for all w₁ … wᵢ₋₁, even where that does not show
@@ -332,10 +335,16 @@ def _energy(question: _Question, B: sp.Matrix) -> sp.Expr | None:
         part = _integral(missing, s)
         if part is None:
             return None
-        total += part
-    off = sp.Matrix(question.x) - B.T * back
-    values = dict(zip([*w, *c], [*back, *(off[j] for j in rest)], strict=True))
+        total += _of_real_logarithms(part, there)
     return _tidy(total.subs(values, simultaneous=True))
+
+
+def _of_real_logarithms(
+    expr: sp.Expr, there: Mapping[sp.Symbol, sp.Expr]
+) -> sp.Expr:
+    """A primitive whose logarithms are real there: log(−e), as good as log(e), where e < 0."""
+    negative = {e for e in expr.atoms(sp.log) if value_at(e.args[0], there).is_negative is True}
+    return expr.xreplace({e: sp.log(sp.expand(-e.args[0])) for e in negative})
 
 
 def _integral(f: sp.Expr, s: sp.Symbol) -> sp.Expr | None:
