@@ -336,12 +336,20 @@ def _energy(question: _Question, B: sp.Matrix) -> sp.Expr | None:
         if part is None:
             return None
         total += _of_real_logarithms(part, there)
-    return _tidy(total.subs(values, simultaneous=True))
+    return _in_partial_fractions(total.subs(values, simultaneous=True), question.x)
 
 
-def _of_real_logarithms(
-    expr: sp.Expr, there: Mapping[sp.Symbol, sp.Expr]
-) -> sp.Expr:
+def _in_partial_fractions(H: sp.Expr, x: Sequence[sp.Symbol]) -> sp.Expr:
+    """The same sum, each term with the least numerator: over one denominator enclosures are wide."""
+    names = {e: sp.Dummy() for e in H.atoms(sp.Function) if e.free_symbols}
+    total: sp.Expr = sp.Integer(0)
+    for term in sp.Add.make_args(H.xreplace(names)):
+        below = sp.denom(sp.together(term)).free_symbols & set(x)
+        total += sp.apart(term, *below) if len(below) == 1 else _tidy(term)
+    return total.xreplace({name: e for e, name in names.items()})
+
+
+def _of_real_logarithms(expr: sp.Expr, there: Mapping[sp.Symbol, sp.Expr]) -> sp.Expr:
     """A primitive whose logarithms are real there: log(−e), as good as log(e), where e < 0."""
     negative = {e for e in expr.atoms(sp.log) if value_at(e.args[0], there).is_negative is True}
     return expr.xreplace({e: sp.log(sp.expand(-e.args[0])) for e in negative})
