@@ -10,7 +10,7 @@ import sympy as sp
 
 delta, omega, E_q, power = sp.symbols("delta omega E_q P", real=True)
 base = 120 * sp.Rational("3.14159")  # rad/s
-M, D, chest = 7 / base, 10 / base, sp.Rational("0.3")  # s
+inertia, friction, chest = 7 / base, 10 / base, sp.Rational("0.3")  # s
 X, X_t, decay = sp.Rational("2.46"), sp.Rational("0.95"), 8  # with the line; s
 grid = sp.Rational("0.995")
 
@@ -19,7 +19,7 @@ x = (delta, omega, E_q, power)
 drawn = grid * E_q * sp.sin(delta) / X_t
 f = [
     omega,
-    (power - drawn - D * omega) / M,
+    (power - drawn - friction * omega) / inertia,
     (-X * E_q / X_t + (X - X_t) * grid * sp.cos(delta) / X_t) / decay,
     -power / chest,
 ]

@@ -27,6 +27,7 @@ Anderson and Moore (1990), Optimal Control: Linear Quadratic Methods.
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import casadi as ca
@@ -48,6 +49,7 @@ __all__ = [
     "damping_bounds",
     "damping_variables",
     "least_cost",
+    "linear_cost",
 ]
 
 
@@ -200,6 +202,23 @@ def least_cost(
     near = loop.near_the_bound(solution.small, solution.eta)
     ratios = loop.relative(P), loop.relative(after)
     return Responsive(found, xi, made, solution.eta, start, *ratios, near)
+
+
+def linear_cost(
+    lifting: Lifting, aim: LinearQuadratic, damping: Vector
+) -> Callable[[Begin], float]:
+    """Cost of the linearised loop over LQR's, for V and η beside a damping; ∞ where there is none.
+
+    A loop that is faster than the program allows has none.
+    """
+    loop = _Loop(lifting, aim, damping)
+
+    def cost(at: Begin) -> float:
+        small = lifting.jets_at(at.weights, at.xi_star)
+        P = None if loop.near_the_bound(small, at.eta) else loop.cost_matrix(small, at.eta)
+        return np.inf if P is None else loop.relative(P)
+
+    return cost
 
 
 def coupled_damping(trained: Vector, eta: Vector) -> Vector:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 
@@ -23,6 +24,7 @@ from necc_casadi.synthesis.quadratic_cost import (
     Responsive,
     coupled_damping,
     least_cost,
+    linear_cost,
 )
 from necc_casadi.synthesis.training import SOLVED, Solution
 
@@ -39,6 +41,10 @@ _MOST_STEPS = 4
 
 #: Factors of the stiffness of each quadratic part, and of the damping of each port, that are tried.
 _STIFFER, _DAMPED = 2.0 ** np.arange(9), 2.0 ** np.arange(-4, 5)
+
+
+#: The same where a solve from the trained V fails and the least cost among them is the next best.
+_ROUGHLY_STIFFER, _ROUGHLY_DAMPED = 4.0 ** np.arange(-3, 4), 4.0 ** np.arange(-3, 4)
 
 
 #: Shares of the rate by which the last solve is shifted, in order.
@@ -109,6 +115,8 @@ class LeastCost:
             reachable = max(0.0, -unmoved.real)
             return replace(self.at(_AS_FAST * reachable, price), unmoved=unmoved)
         first = self._solved(0.0, price, None)
+        if first is None and rate == 0:
+            first = self._scaled(price)
         if first is not None and first.after >= first.before and rate == 0:
             first = None
         now = self.begin(first)
@@ -157,6 +165,35 @@ class LeastCost:
             if solved is not None and self._rate(self.begin(solved)) >= rate:
                 return solved
         return None
+
+    def _scaled(self, price: float) -> Responsive | None:
+        """From the scaled V and damping of least cost, where a solve from the trained ones fails."""
+        aim, now = self._aim(0.0, price, 0.0), self.begin(None)
+        if aim is None or self.program is None:
+            return None
+        cost = linear_cost(self.lifting, aim, self.damping)
+        before, best, least = cost(now), now, np.inf
+        for hc, k in product(_ROUGHLY_STIFFER, repeat=2):
+            stiff = self._with_stiffness(now, hc, k)
+            if not self._is_allowed(stiff):
+                continue
+            for d, dc in product(_ROUGHLY_DAMPED, repeat=2):
+                tried = replace(stiff, eta=self._scaled_eta(now.eta, d, dc))
+                worth = cost(tried)
+                if worth < least:
+                    best, least = tried, worth
+        if not least < before:
+            return None
+        found = self._solved(0.0, price, best)
+        if found is None or not found.after < least:
+            found = replace(self._as_it_is(best), after=least)
+        return replace(found, before=before)
+
+    def _is_allowed(self, at: Begin) -> bool:
+        """Whether V is as curved, and its quadratic parts as stiff, as training asks for."""
+        floors = [n.lower(self.plan.anchor.kappa_min) for n in self.lifting.form.networks]
+        loss = self.lifting.loss(at.weights, at.xi_star, self.plan.curvature)
+        return loss <= SOLVED and bool((at.weights >= np.concatenate(floors)).all())
 
     def _as_it_is(self, begin: Begin) -> Responsive:
         """Where a solve began, for want of a better loop."""
