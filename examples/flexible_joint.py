@@ -1,7 +1,7 @@
 """Link held upright by a motor behind a spring softer than gravity, friction on both sides.
 
-Source: Spong, Modeling and Control of Elastic Joint Robots, Journal of Dynamic Systems, Measurement,
-and Control 109 (1987), with numbers typical of a small laboratory arm.
+Source: Spong, Modeling and Control of Elastic Joint Robots, Journal of Dynamic Systems,
+Measurement, and Control 109 (1987), with numbers typical of a small laboratory arm.
 Try: necc-design flexible_joint.py --target 0
 """
 

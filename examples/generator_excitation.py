@@ -2,8 +2,8 @@
 
 Per unit but for time and angle; the transient saliency is left out.
 Source: Galaz, Ortega, Bazanella, Stanković, An Energy-shaping Approach to the Design of Excitation
-Control of Synchronous Generators, Automatica 39 (2003), for the model; Kundur, Power System Stability
-and Control (1994), examples 12.2 and 12.3, for the unit: H = 3.5 s, Xd = 1.81, X'd = 0.3,
+Control of Synchronous Generators, Automatica 39 (2003), for the model; Kundur, Power System
+Stability and Control (1994), examples 12.2 and 12.3, for the unit: H = 3.5 s, Xd = 1.81, X'd = 0.3,
 T'd0 = 8 s, 0.65 to the grid at 0.995, 0.9 delivered.
 Try: necc-design generator_excitation.py --target delta=pi/4
 """

@@ -16,9 +16,7 @@ inertia, friction, load = sp.Rational("8e-4"), sp.Rational("1e-3"), 1  # kg m²,
 
 name = "PM synchronous motor"
 x = (psi_d, psi_q, p)
-J = pairs * sp.Matrix(
-    [[0, 0, psi_q], [0, 0, -psi_d - magnet], [-psi_q, psi_d + magnet, 0]]
-)
+J = pairs * sp.Matrix([[0, 0, psi_q], [0, 0, -psi_d - magnet], [-psi_q, psi_d + magnet, 0]])
 R = sp.diag(resistance, resistance, friction)
 G = sp.Matrix([[1, 0], [0, 1], [0, 0]])
 E = sp.Matrix([0, 0, -load])

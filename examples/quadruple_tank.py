@@ -27,12 +27,15 @@ G = share * sp.Matrix(
         [(1 - split[0]) * gain[0], 0],
     ]
 )
-H = sum(sp.Rational(2, 3) * a * sp.sqrt(2 * g) * s ** sp.Rational(3, 2) for a, s in zip(hole, h))
+H = sum(
+    sp.Rational(2, 3) * a * sp.sqrt(2 * g) * s ** sp.Rational(3, 2)
+    for a, s in zip(hole, h, strict=True)
+)
 
 units = dict.fromkeys(h, "m")
 volts = 3, 3  # of the pumps at the target
 upper = (1 - split[1]) * gain[1] * volts[1], (1 - split[0]) * gain[0] * volts[0]
 flows = [split[k] * gain[k] * volts[k] + upper[k] for k in (0, 1)] + list(upper)
-target = {s: (flow / a) ** 2 / (2 * g) for s, flow, a in zip(h, flows, hole)}
+target = {s: (flow / a) ** 2 / (2 * g) for s, flow, a in zip(h, flows, hole, strict=True)}
 domain = dict.fromkeys(h, (sp.Rational("0.002"), sp.Rational("0.2")))
 u_limits = [(0, 10), (0, 10)]  # V

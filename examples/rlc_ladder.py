@@ -1,7 +1,7 @@
 """Three sections of a 48 V supply line, every coil and capacitor lossy, with a load at the far end.
 
-The load draws its current for ever, so no Casimir of the published loop reaches it. Power shaping
-needs none of that current to vanish: what the source would need at the target is all that counts.
+Load and losses draw current for ever, so the loop has no Casimir and refuses the target. Power
+shaping holds any voltage: J − R is regular, and γ is linear in all charges and fluxes.
 Source: Ortega, Jeltsema, Scherpen, Power Shaping: A New Paradigm for Stabilization of Nonlinear RLC
 Circuits, IEEE Transactions on Automatic Control 48 (2003), with numbers typical of a cable and
 its filter capacitors.
@@ -24,10 +24,11 @@ R[5, 5] = 1 / sp.Rational(leak) + 1 / sp.Rational(load)
 G = sp.Matrix([1, 0, 0, 0, 0, 0])
 H = sum(f**2 for f in phi) / (2 * coil) + sum(c**2 for c in q) / (2 * capacitor)
 
-units = {s: "Wb" for s in phi} | {s: "C" for s in q}
+units = dict.fromkeys(phi, "Wb") | dict.fromkeys(q, "C")
 volts = [0, 0, sp.Integer(48)]  # at the load; the others follow from the currents
 amps = [0, 0, volts[2] * R[5, 5]]
 for k in (1, 0):
     volts[k] = volts[k + 1] + winding * amps[k + 1]
     amps[k] = amps[k + 1] + volts[k] / leak
-target = {f: coil * i for f, i in zip(phi, amps)} | {c: capacitor * v for c, v in zip(q, volts)}
+target = {f: coil * i for f, i in zip(phi, amps, strict=True)}
+target |= {c: capacitor * v for c, v in zip(q, volts, strict=True)}

@@ -1,7 +1,7 @@
 """Desktop servo whose voltage holds a rod 60° from hanging: winding resistance, friction and load.
 
-The winding dissipates as long as the rod is held, so the published loop refuses; φ + kθ, what the
-voltage would charge without resistance, is not what power shaping uses, and it holds the rod.
+The winding dissipates as long as the rod is held, so the loop has no Casimir and refuses the
+target. Power shaping holds it; its function γ weighs flux and angle by the resistance.
 Source: Quanser, QUBE-Servo 2 user manual, for motor (8.4 Ω, 1.16 mH, 0.042 N m/A, rotor 4 mg m²)
 and rod (24 g, 129 mm).
 Try: necc-design servo_pendulum.py --target theta=pi/3

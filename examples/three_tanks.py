@@ -19,7 +19,7 @@ R = sp.eye(3) / area
 G = sp.Matrix([1 / area, 0, 0])
 heads = h[0] - h[1], h[1] - h[2], h[2]
 pull = sp.Rational(2, 3) * pipe * sp.sqrt(2 * g)
-H = sum(c * pull * head ** sp.Rational(3, 2) for c, head in zip(loss, heads))
+H = sum(c * pull * head ** sp.Rational(3, 2) for c, head in zip(loss, heads, strict=True))
 
 units = dict.fromkeys(h, "m")
 flow = sp.Rational("4e-5")  # m³/s at the target

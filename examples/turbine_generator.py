@@ -1,8 +1,8 @@
 """Generator on a large grid with its steam turbine: excitation and valve hold angle and power.
 
 Per unit but for time and angle; the model is ẋ = f + G u.
-Source: Kundur, Power System Stability and Control (1994), examples 12.2 and 12.3, for the unit (as in
-generator_excitation.py), and section 9.2 for the time constant of the steam chest.
+Source: Kundur, Power System Stability and Control (1994), examples 12.2 and 12.3, for the unit (as
+in generator_excitation.py), and section 9.2 for the time constant of the steam chest.
 Try: necc-design turbine_generator.py --target delta=pi/4
 """
 

@@ -20,6 +20,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations
+from typing import Any
 
 import numpy as np
 import sympy as sp
@@ -340,16 +341,16 @@ def _energy(question: _Question, B: sp.Matrix) -> sp.Expr | None:
 
 
 def _in_partial_fractions(H: sp.Expr, x: Sequence[sp.Symbol]) -> sp.Expr:
-    """The same sum, each term with the least numerator: over one denominator enclosures are wide."""
+    """The same sum with short numerators: over one denominator, enclosures of it are wide."""
     names = {e: sp.Dummy() for e in H.atoms(sp.Function) if e.free_symbols}
     total: sp.Expr = sp.Integer(0)
     for term in sp.Add.make_args(H.xreplace(names)):
         below = sp.denom(sp.together(term)).free_symbols & set(x)
-        total += sp.apart(term, *below) if len(below) == 1 else _tidy(term)
+        total += sp.apart(term, below.pop()) if len(below) == 1 else _tidy(term)
     return total.xreplace({name: e for e, name in names.items()})
 
 
-def _of_real_logarithms(expr: sp.Expr, there: Mapping[sp.Symbol, sp.Expr]) -> sp.Expr:
+def _of_real_logarithms(expr: sp.Expr, there: Mapping[Any, sp.Expr]) -> sp.Expr:
     """A primitive whose logarithms are real there: log(−e), as good as log(e), where e < 0."""
     negative = {e for e in expr.atoms(sp.log) if value_at(e.args[0], there).is_negative is True}
     return expr.xreplace({e: sp.log(sp.expand(-e.args[0])) for e in negative})

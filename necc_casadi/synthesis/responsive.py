@@ -167,7 +167,7 @@ class LeastCost:
         return None
 
     def _scaled(self, price: float) -> Responsive | None:
-        """From the scaled V and damping of least cost, where a solve from the trained ones fails."""
+        """From scaled quadratic parts and damping, where a solve from the trained ones fails."""
         aim, now = self._aim(0.0, price, 0.0), self.begin(None)
         if aim is None or self.program is None:
             return None

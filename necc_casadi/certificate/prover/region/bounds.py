@@ -50,7 +50,10 @@ def bounds_of(design: Design, *, outwards: bool = False) -> Interval:
         if name in design.loop.plant.domain:
             below, above = (constant(sp.sympify(b)) for b in design.loop.plant.domain[name])
             sides = (below.lo, above.hi) if outwards else (below.hi, above.lo)
-            room = [0.0 if outwards or b.lo == b.hi else _ROOM * float(b.magnitude) for b in (below, above)]
+            room = [
+                0.0 if outwards or b.lo == b.hi else _ROOM * float(b.magnitude)
+                for b in (below, above)
+            ]
             lo[i], hi[i] = float(sides[0] + room[0]), float(sides[1] - room[1])
     return Interval(lo, hi)
 
