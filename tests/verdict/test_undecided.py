@@ -224,7 +224,7 @@ J, R, G = {J}, {R}, sp.Matrix({G})
 H = sum(s**2 for s in x) / 2
 """.replace(",,", ",").replace(" ", " ")
     text = text.replace(f'"{names},"', f'"{names.replace(" ", ",")},"')
-    code, data = check(text, target)
+    code, data = check(text, target, "--method=interconnection")
     assert (code, data["verdict"]["reason"]) == (3, "invisible_gradient")
     said = data["verdict"]["explanation"]
     assert said.startswith(f"{state} is invisible")
@@ -257,7 +257,7 @@ R = sp.Matrix([[sp.sqrt(h) - sp.sqrt(h) / (2 + w**2), 0], [0, 1]])
 G = sp.Matrix([1, 0])
 H = h**2 / 2 + w**2 / 2
 """
-    code, data = check(text, "h=1,w=0")
+    code, data = check(text, "h=1,w=0", "--method=interconnection")
     assert (code, data["verdict"]["reason"]) == (3, "invisible_gradient")
     assert any("h > 0" in note for note in data["notes"])
     # the user's own domain is binding
