@@ -95,7 +95,7 @@ def test_the_gallery_says_of_every_example_whether_it_is_global():
     text = (ROOT / "docs" / "gallery.md").read_text(encoding="utf-8")
     rows = [line.split("|")[1:-1] for line in text.splitlines() if line.startswith("| [")]
     for example in (ROOT / "examples").glob("*.py"):
-        name = load_model(example).loop.plant.name
+        name = load_model(example).system.name
         own = [row for row in rows if row[0].strip().startswith(f"[{name}]")]
         assert own, name
         for row in own:

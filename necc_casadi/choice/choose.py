@@ -28,6 +28,7 @@ from necc_casadi.casimirs.casimirs import Casimirs
 from necc_casadi.certificate.claims.certificate import Certificate
 from necc_casadi.certificate.claims.regions import MOST_KEPT
 from necc_casadi.certificate.prover.certify import certify
+from necc_casadi.certificate.prover.input_limits import holds_everywhere
 from necc_casadi.choice.decide import NEAR, Passed, decide, gives_up
 from necc_casadi.choice.judged import Judged, Name, Trial, cost_ratio
 from necc_casadi.designs.design import Design
@@ -314,8 +315,11 @@ def _is_passed(why: str | None, trial: Trial, passed: list[Passed]) -> bool:
 
 
 def _overreaches(trial: Trial, default: Trial | None) -> str | None:
-    """Why a candidate asks too much of the inputs, where as many starts arrive by default."""
-    if default is None or default.arrivals < trial.arrivals:
+    """Why a candidate asks too much of the inputs, where as many starts arrive by default.
+
+    Nothing is too much where clipped inputs are proved to do no harm, whatever the state.
+    """
+    if default is None or default.arrivals < trial.arrivals or holds_everywhere(trial.design):
         return None
     beyond, usual = trial.response.beyond, default.response.beyond
     if beyond <= usual:

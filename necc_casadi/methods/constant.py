@@ -20,6 +20,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations
+from typing import Any
 
 import numpy as np
 import sympy as sp
@@ -365,6 +366,9 @@ def _energy(question: _Question, B: sp.Matrix) -> sp.Expr | None:
     forward = dict(zip(question.x, inside, strict=True))
     total: sp.Expr = sp.Integer(0)
     back = B.extract(list(range(r)), pivots).T.inv() * sp.Matrix(question.x).extract(pivots, [0])
+    off = sp.Matrix(question.x) - B.T * back
+    values = dict(zip([*w, *c], [*back, *(off[j] for j in rest)], strict=True))
+    there = {symbol: value_at(value, question.x_star) for symbol, value in values.items()}
     for i, s in enumerate(w):
         missing = question.s[i].subs(forward, simultaneous=True) - sp.diff(total, s)
         # equal for all w₁ … wᵢ₋₁, even where that does not show
@@ -372,10 +376,24 @@ def _energy(question: _Question, B: sp.Matrix) -> sp.Expr | None:
         part = _integral(missing, s)
         if part is None:
             return None
-        total += part
-    off = sp.Matrix(question.x) - B.T * back
-    values = dict(zip([*w, *c], [*back, *(off[j] for j in rest)], strict=True))
-    return _tidy(total.subs(values, simultaneous=True))
+        total += _of_real_logarithms(part, there)
+    return _in_partial_fractions(total.subs(values, simultaneous=True), question.x)
+
+
+def _in_partial_fractions(H: sp.Expr, x: Sequence[sp.Symbol]) -> sp.Expr:
+    """The same sum with short numerators: over one denominator, enclosures of it are wide."""
+    names = {e: sp.Dummy() for e in H.atoms(sp.Function) if e.free_symbols}
+    total: sp.Expr = sp.Integer(0)
+    for term in sp.Add.make_args(H.xreplace(names)):
+        below = sp.denom(sp.together(term)).free_symbols & set(x)
+        total += sp.apart(term, below.pop()) if len(below) == 1 else _tidy(term)
+    return total.xreplace({name: e for e, name in names.items()})
+
+
+def _of_real_logarithms(expr: sp.Expr, there: Mapping[Any, sp.Expr]) -> sp.Expr:
+    """A primitive whose logarithms are real there: log(−e), as good as log(e), where e < 0."""
+    negative = {e for e in expr.atoms(sp.log) if value_at(e.args[0], there).is_negative is True}
+    return expr.xreplace({e: sp.log(sp.expand(-e.args[0])) for e in negative})
 
 
 def _integral(f: sp.Expr, s: sp.Symbol) -> sp.Expr | None:

@@ -8,7 +8,7 @@ from functools import cached_property
 
 import sympy as sp
 
-from necc_casadi.cases import MethodWord
+from necc_casadi.cases import MethodName, MethodWord
 from necc_casadi.casimirs.condition import is_casimir
 from necc_casadi.casimirs.find import find_casimirs
 from necc_casadi.methods.ahead import plant_with_feedback
@@ -23,6 +23,7 @@ from necc_casadi.model.controller import default_controller
 from necc_casadi.model.model_file import Model
 from necc_casadi.model.modulated import Modulated, System
 from necc_casadi.model.plant import Plant
+from necc_casadi.symbolic.zero import Undecided
 from necc_casadi.verdict.judge import judge
 
 __all__ = ["Found", "find_method"]
@@ -119,6 +120,16 @@ def _of_plant(
     return Method("interconnection", loop, casimirs, judge(loop, casimirs, x_star))
 
 
+def _decided(
+    name: MethodName, answers: Callable[[], Iterator[Method | Refusal]]
+) -> Iterator[Method | Refusal]:
+    """The answers of a method, as long as it can tell what is zero."""
+    try:
+        yield from answers()
+    except Undecided as unknown:
+        yield Refusal(name, f"no proof was found whether {unknown} is zero", False)
+
+
 @dataclass(frozen=True, eq=False)
 class _Question:
     """A target of a plant, and which methods may answer it."""
@@ -130,7 +141,7 @@ class _Question:
 
     def answers(self) -> Iterator[Method | Refusal]:
         """What the methods other than the published loop say, in order."""
-        families = {
+        families: dict[MethodName, Callable[[], Iterator[Method | Refusal]]] = {
             "modulated": self._modulated,
             "shaping": self._shaping,
             "mechanical": self._mechanical,
@@ -138,7 +149,7 @@ class _Question:
         }
         for name, answers in families.items():
             if self.wanted in ("auto", name):
-                yield from answers()
+                yield from _decided(name, answers)
 
     @cached_property
     def _shifted(self) -> Plant | str:

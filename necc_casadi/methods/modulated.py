@@ -142,4 +142,6 @@ def _with_energy(
     ahead = Preliminary(system.drift, system.directions, u0, one)
     if not ahead.matches(plant.flow, plant.G):
         return None
-    return replace(plant, preliminary=ahead, sizes=system.sizes)
+    # g may vanish at points, as where a converter holds nothing: no proof asks for its rank
+    proper = tuple(p for p in plant.properties if p.kind != "rank")
+    return replace(plant, preliminary=ahead, sizes=system.sizes, properties=proper)

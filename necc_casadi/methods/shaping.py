@@ -36,7 +36,7 @@ from necc_casadi.verdict.judge import judge
 __all__ = ["power_shaping", "shaping_functions"]
 
 
-#: F with more operations than this is not inverted as a first try.
+#: F with more operations than this, or F⁻¹G, is not looked at as a first try.
 _MOST_OPERATIONS = 300
 
 
@@ -97,9 +97,12 @@ def _by_inversion(plant: Plant) -> list[sp.Expr]:
     if not F.free_symbols or sum(e.count_ops() for e in F) > _MOST_OPERATIONS:
         return []  # for a constant F linear functions are all there is
     try:
-        slopes = -F.LUsolve(sp.Matrix(plant.G)).applyfunc(tidy)
+        slopes = -F.LUsolve(sp.Matrix(plant.G))
     except (ValueError, ZeroDivisionError):  # F is singular
         return []
+    if sum(e.count_ops() for e in slopes) > _MOST_OPERATIONS:
+        return []
+    slopes = slopes.applyfunc(tidy)
     columns = (list(slopes[:, j]) for j in range(slopes.cols))
     found = [potential(column, plant.x) for column in columns]
     return [g for g in found if g is not None and _alpha(plant, g) is not None]

@@ -174,9 +174,11 @@ def _inputs_inside(space: Mapping[str, Any]) -> tuple[sp.Symbol, ...]:
 
 
 def _source(space: Mapping[str, Any]) -> Any:
-    """The constant source `E`; another E, such as a modulus, is the file's own affair."""
+    """The constant source `E`; another E, a modulus or a true matrix, is the file's own affair."""
     value = space.get("E")
-    return value if isinstance(value, (sp.MatrixBase, list, tuple, np.ndarray)) else None
+    if isinstance(value, (sp.MatrixBase, np.ndarray)):
+        return None if min(value.shape, default=0) > 1 else value
+    return value if isinstance(value, (list, tuple)) else None
 
 
 def _execute(path: Path) -> dict[str, Any]:

@@ -360,6 +360,8 @@ def _displacements(plant: Plant, x_star: Mapping[sp.Symbol, sp.Expr], local: _Lo
     for i, name in enumerate(plant.states):
         slope, curvature, away = local.slope[i], local.curvature[i], target[i]
         to_rest = slope / curvature if curvature > 0 else np.inf
+        if plant.preliminary is not None and to_rest <= _ROUNDING * away:
+            to_rest = away  # a feedback has moved rest to the target: 0 is what is left
         if name in angles:
             result[i] = angles[name]
         elif to_rest > _ROUNDING * away and to_rest > 0:  # at rest by itself: no displacement

@@ -23,7 +23,7 @@ from necc_casadi.model.samples import quasi_random
 from necc_casadi.performance.closed_loop_cost import Feedback, design_feedback, lqr_feedback
 from necc_casadi.performance.plant_model import PlantModel, plant_model
 from necc_casadi.performance.turns import turns_of
-from necc_casadi.simulation.convergence import bogacki_shampine
+from necc_casadi.simulation.convergence import stepper
 from necc_casadi.simulation.responses import default_horizon
 
 __all__ = ["Elsewhere", "Saturated", "even_starts", "lqr_costs", "saturated"]
@@ -209,14 +209,14 @@ class _Follower:
         peak = np.abs(asked)
         exceeded = (asked < self.lo) | (asked > self.hi)
         alive = np.flatnonzero(~arrived)
-        for _ in range(_MOST_STEPS * _FEW_STATES // max(_FEW_STATES, z.shape[1])):
+        most = _MOST_STEPS * _FEW_STATES // max(_FEW_STATES, z.shape[1])
+        take = stepper(self._field, np.append(self.target, 0.0), horizon / most)
+        for _ in range(most):
             if alive.size == 0:
                 break
             with interruptible(), np.errstate(all="ignore"):
                 step = np.minimum(h[alive], horizon - t[alive])
-                end, end_slope, difference = bogacki_shampine(
-                    lambda states: self._slopes(states)[0], z[alive], slope[alive], step
-                )
+                end, end_slope, difference = take(z[alive], slope[alive], step)
                 error = self._error(z[alive], end, difference)
                 good = error <= 1
                 growth = np.clip(0.9 * np.fmax(error, 1e-9) ** (-1 / 3), 0.2, 5.0)

@@ -71,6 +71,10 @@ def unclipped_share(design: Design, certificate: Certificate) -> float | None:
     region, level = certificate.region, certificate.level_clipped or certificate.level_u
     if design.loop.plant.u_limits is None:
         return None
+    if any(
+        c.name == "clipping" and c.holds and c.data.get("everywhere") for c in certificate.claims
+    ):
+        return 1.0 if certificate.is_global else plant_share(design, certificate)
     if region is None or level is None or region.method == "curved":
         return 0.0
     within = replace(region, level=level / design.units.energy)

@@ -392,7 +392,9 @@ def _starts(kept: Judged) -> str:
     clipped = ", inputs clipped to their limits" if limited else ""
     dear = "" if kept.cost_to_lqr is None else f"; cost {kept.cost_to_lqr:.3g} × LQR"
     unknown = len(response.arrived) - kept.arrivals - len(response.strayed)
-    way = f", {unknown} were not followed to an end" if unknown else ""
+    way = (
+        f", {unknown} {'was' if unknown == 1 else 'were'} not followed to an end" if unknown else ""
+    )
     return f"{text}{clipped}{way}{dear} (simulated)"
 
 

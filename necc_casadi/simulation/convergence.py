@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
@@ -14,7 +15,23 @@ from necc_casadi.interrupts import interruptible
 from necc_casadi.simulation.responses import default_horizon
 from necc_casadi.simulation.saturated import saturated_field
 
-__all__ = ["Arrivals", "bogacki_shampine", "converging", "simulated_share"]
+__all__ = [
+    "Arrivals",
+    "Step",
+    "bogacki_shampine",
+    "converging",
+    "rosenbrock",
+    "simulated_share",
+    "stepper",
+]
+
+
+#: States at the start, ż there and lengths of the step -> the end, ż there, and the error.
+Step = Callable[[Vector, Vector, Vector], tuple[Vector, Vector, Vector]]
+
+
+#: An explicit step is stable up to this multiple of the shortest time constant.
+_EXPLICIT = 2.5
 
 
 #: Many starts at once: one that comes this close, as a share of its first distance, converges.
@@ -67,16 +84,15 @@ def converging(design: Design, starts: npt.ArrayLike, *, tolerance: float = 1e-4
     ode = saturated_field(design)
     late = np.zeros(len(z), dtype=bool)
 
-    def field(states: Vector) -> Vector:
-        return np.asarray(ode(states.T), float).T
-
-    slope = field(z)
-    for _ in range(_MOST_STEPS * _FEW_STATES // max(_FEW_STATES, z.shape[1])):
+    most = _MOST_STEPS * _FEW_STATES // max(_FEW_STATES, z.shape[1])
+    take = stepper(ode, z_bar, horizon / most)
+    slope = np.asarray(ode(z.T), float).T
+    for _ in range(most):
         if alive.size == 0:
             break
         with interruptible(), np.errstate(all="ignore"):
             step, start = np.minimum(h[alive], horizon - t[alive]), z[alive]
-            end, end_slope, difference = bogacki_shampine(field, start, slope[alive], step)
+            end, end_slope, difference = take(start, slope[alive], step)
             scale = tolerance * (_SMALL_STATE + np.fmax(np.abs(start), np.abs(end)))
             error = np.abs(difference / scale).max(axis=1)
             good = error <= 1
@@ -128,6 +144,77 @@ def bogacki_shampine(
     end = z + h * (2 * k1 + 3 * k2 + 4 * k3) / 9
     k4 = field(end)
     return end, k4, h * (-5 * k1 / 72 + k2 / 12 + k3 / 9 - k4 / 8)
+
+
+def rosenbrock(
+    field: Callable[[Vector], Vector],
+    jacobian: Callable[[Vector], Vector],
+    z: Vector,
+    slope: Vector,
+    h: Vector,
+) -> tuple[Vector, Vector, Vector]:
+    """One linearly implicit step of order 2, L-stable, with an estimate of its error.
+
+    For loops with modes that are over long before the others, such as the current of a winding.
+
+    Parameters
+    ----------
+    field, z, slope, h
+        As for :func:`bogacki_shampine`.
+    jacobian
+        States (B, N) -> ∂ż/∂z (B, N, N).
+
+    Returns
+    -------
+    end, slope, difference
+        As for :func:`bogacki_shampine`; what cannot be solved for is nan.
+
+    References
+    ----------
+    Shampine and Reichelt (1997).
+    """
+    step, d, e = h[:, None], 1 / (2 + np.sqrt(2)), 6 + np.sqrt(2)
+    W = np.eye(z.shape[1]) - d * h[:, None, None] * jacobian(z)
+    try:
+        inverse = np.linalg.inv(W)
+    except np.linalg.LinAlgError:
+        inverse = np.full_like(W, np.nan)
+
+    def solved(right: Vector) -> Vector:
+        return np.asarray(np.einsum("bij,bj->bi", inverse, right), float)
+
+    k1 = solved(slope)
+    middle = field(z + step * k1 / 2)
+    k2 = solved(middle - k1) + k1
+    end = z + step * k2
+    last = field(end)
+    k3 = solved(last - e * (k2 - middle) - 2 * (k1 - slope))
+    return end, last, step * (k1 - 2 * k2 + k3) / 6
+
+
+def stepper(ode: ca.Function, z_bar: Vector, mean: float) -> Step:
+    """Steps that are explicit, but where those that are stable at z̄ are shorter than `mean`.
+
+    `ode` has the states (N,) as its argument and ż as its first result.
+    """
+    n = len(z_bar)
+    z = ca.MX.sym("z", n)
+    slopes = ode.call([z])[0]
+    derivative = ca.Function("jacobian", [z], [ca.jacobian(slopes, z)])
+
+    def field(states: Vector) -> Vector:
+        return np.asarray(ode.call([states.T])[0], float).T
+
+    def jacobian(states: Vector) -> Vector:
+        flat = np.asarray(ca.DM(derivative(states.T)), float)
+        return flat.reshape(n, len(states), n).transpose(1, 0, 2)
+
+    there = jacobian(z_bar[None])[0]
+    finite = np.isfinite(there).all()
+    fastest = float(np.abs(np.linalg.eigvals(there)).max()) if finite else 0.0
+    if fastest * mean > _EXPLICIT:
+        return lambda z, slope, h: rosenbrock(field, jacobian, z, slope, h)
+    return lambda z, slope, h: bogacki_shampine(field, z, slope, h)
 
 
 def simulated_share(design: Design, resting: Sequence[int], seed: int = 0) -> float | None:

@@ -298,3 +298,25 @@ def test_large_plants_and_poles_are_told():
     result, _ = structure_of([p / q, 0], [0, 1], (q, p), (0, 0))
     assert not result.proved
     assert "finite" in result.reason
+
+
+def test_an_energy_with_logarithms_is_real_and_in_partial_fractions():
+    """A ball below a magnet with leakage: sᵢ is rational in the gap, and its primitive a log."""
+    flux, q, p = x = sp.symbols("phi q p", real=True)
+    k, coil, m, g, r = R("6.5e-5"), R("0.4"), R("0.068"), R("9.81"), 11
+    current = flux * q / (coil * q + k)
+    f = [-r * current, p / m, m * g - k * flux**2 / (2 * (coil * q + k) ** 2)]
+    gap = R("0.006")
+    x_star = dict(zip(x, ((coil + k / gap) * gap * sp.sqrt(2 * m * g / k), gap, 0), strict=True))
+    domain = {"q": (R("0.002"), R("0.014"))}
+    found = constant_structure(sp.Matrix(f), sp.Matrix([1, 0, 0]), x, x_star, domain=domain)
+    assert not isinstance(found, NoStructure), found
+    H = found.plant.H
+    assert not H.has(sp.I)
+    assert H.has(sp.log)
+    assert all(is_real_there(e.args[0], x_star) for e in H.atoms(sp.log) if e.free_symbols)
+    assert max(sp.denom(term).as_poly(q).degree() for term in H.args if sp.denom(term).has(q)) == 1
+
+
+def is_real_there(inside, x_star) -> bool:
+    return bool(inside.subs(x_star) > 0)

@@ -2,6 +2,7 @@
 
 import dataclasses
 
+import casadi as ca
 import numpy as np
 import pytest
 from helpers.constructed import make_design, mechanical
@@ -9,7 +10,13 @@ from helpers.dragged import creeping
 
 from necc_casadi.lyapunov.networks import Network
 from necc_casadi.lyapunov.parameterization import Form
-from necc_casadi.simulation.convergence import bogacki_shampine, converging, simulated_share
+from necc_casadi.simulation.convergence import (
+    bogacki_shampine,
+    converging,
+    rosenbrock,
+    simulated_share,
+    stepper,
+)
 from necc_casadi.simulation.responses import default_horizon, simulate
 
 
@@ -55,6 +62,47 @@ def test_each_state_has_its_own_step_and_the_last_slope_is_the_next_first():
         alone, _, estimate = bogacki_shampine(pendulum, START, pendulum(START), h[k : k + 1])
         np.testing.assert_array_equal(end[k], alone[0], err_msg=str(step))
         np.testing.assert_array_equal(difference[k], estimate[0])
+
+
+def turned(z):
+    """∂ż/∂z of the pendulum, (B, 2, 2)."""
+    still = np.zeros(len(z))
+    return np.stack(
+        [np.stack([still, still + 1], axis=1), np.stack([-np.cos(z[:, 0]), still], axis=1)], axis=1
+    )
+
+
+def advanced_implicitly(time: float, steps: int):
+    z, slope, h = START, pendulum(START), np.array([time / steps])
+    for _ in range(steps):
+        z, slope, difference = rosenbrock(pendulum, turned, z, slope, h)
+    return z, np.abs(difference).max()
+
+
+def test_implicit_steps_are_of_order_two_and_their_estimate_of_order_three():
+    sizes = [0.2 / 2**k for k in range(4)]
+    exact = [advanced(h, 2000)[0] for h in sizes]
+    errors = [
+        np.abs(advanced_implicitly(h, 1)[0] - z).max() for h, z in zip(sizes, exact, strict=True)
+    ]
+    assert order(errors) == pytest.approx(3, abs=0.2)
+    assert order([advanced_implicitly(h, 1)[1] for h in sizes]) == pytest.approx(3, abs=0.2)
+    end = advanced(2.0, 20_000)[0]
+    errors = [np.abs(advanced_implicitly(2.0, steps)[0] - end).max() for steps in (40, 80, 160)]
+    assert order(errors) == pytest.approx(2, abs=0.2)
+
+
+def test_modes_that_are_over_long_before_the_others_are_stepped_over():
+    """ż = −z₁·10⁶ beside ż = −z₂: steps of the slow one leave nothing of the fast one."""
+    z = ca.MX.sym("z", 2)
+    ode = ca.Function("stiff", [z], [ca.vertcat(-1e6 * z[0], -z[1])])
+    start, h = np.array([[1.0, 1.0]]), np.array([0.1])
+    slope = np.array([[-1e6, -1.0]])
+    end, _, _ = stepper(ode, np.zeros(2), 0.01)(start, slope, h)
+    assert abs(end[0, 0]) < 1e-4
+    assert end[0, 1] == pytest.approx(np.exp(-0.1), rel=1e-3)
+    explicit, _, _ = stepper(ode, np.zeros(2), 1e-7)(start, slope, h)
+    assert abs(explicit[0, 0]) > 1e6
 
 
 def test_many_starts_at_once_agree_with_responses_one_by_one(default_design, paper_design):

@@ -28,7 +28,17 @@ VERDICTS = {
     "vtol": ("invisible_gradient", None, 0),
     "ball_and_beam": ("invisible_flat_curvature", None, 1),
     "furuta": ("invisible_negative_curvature", None, 1),
+    "rlc_ladder": ("invisible_gradient", None, 0),
+    "servo_pendulum": ("invisible_gradient", None, 0),
+    "mems_switch": ("invisible_gradient", None, 0),
+    "generator_excitation": ("invisible_gradient", None, 0),
+    "quadruple_tank": ("invisible_gradient", None, 0),
+    "three_tanks": ("invisible_gradient", None, 0),
+    "maglev_voltage": ("invisible_gradient", None, 0),
+    "flexible_joint": ("invisible_negative_curvature", None, 1),
 }
+#: Plants with inputs in J, sources, or no energy: the published loop is not defined for them.
+OF_OTHER_METHODS = {"boost", "buck_boost", "cuk", "pmsm", "cstr", "turbine_generator"}
 
 
 @pytest.mark.parametrize(
@@ -66,7 +76,7 @@ def test_levitation_casimir_is_the_one_of_its_docstring():
 
 def test_every_example_is_judged_here():
     stems = {path.stem for path in EXAMPLES.glob("*.py")}
-    assert stems == {*VERDICTS, "pendulum"}
+    assert stems == {*VERDICTS, *OF_OTHER_METHODS, "pendulum"}
 
 
 def test_every_example_has_a_source_and_a_title():

@@ -171,7 +171,7 @@ def _levels(potential: Potential, cells: Interval) -> Vector:
         height = np.where((swing.hi <= 0) & (margin >= 0), np.inf, height)
         height = np.where(room.lo < 0, 0.0, height).min(-1)  # such a cell must stay out of reach
         bottom = jet.value.lo
-        level = (point(bottom) + point(height)).lo
+        level = np.where(np.isinf(height), np.inf, (point(bottom) + point(height)).lo)
     return np.where(np.isfinite(bottom) & ~np.isnan(height), level, -np.inf)
 
 

@@ -34,6 +34,9 @@ __all__ = ["Bounds", "bounds_of"]
 
 #: How often a cell may be halved before a bound counts as not kept on it.
 _HALVINGS = 7
+#: Share of a bound that no double is, as π/2, by which the prover stays within it: the arithmetic
+#: of the checker rounds otherwise.
+_ROOM = 2.0**-48
 #: A place is behind a pass where it is reached this share of its height above its own V. Widths of
 #: a momentum's range that are tried, by what it is at the middles of the cells.
 _OVER = 1e-6
@@ -46,8 +49,12 @@ def bounds_of(design: Design, *, outwards: bool = False) -> Interval:
     for i, name in enumerate(design.loop.states):
         if name in design.loop.plant.domain:
             below, above = (constant(sp.sympify(b)) for b in design.loop.plant.domain[name])
-            lo[i] = float(below.lo if outwards else below.hi)
-            hi[i] = float(above.hi if outwards else above.lo)
+            sides = (below.lo, above.hi) if outwards else (below.hi, above.lo)
+            room = [
+                0.0 if outwards or b.lo == b.hi else _ROOM * float(b.magnitude)
+                for b in (below, above)
+            ]
+            lo[i], hi[i] = float(sides[0] + room[0]), float(sides[1] - room[1])
     return Interval(lo, hi)
 
 

@@ -18,6 +18,7 @@ from necc_casadi.certificate.prover.arithmetic.potential import Potential
 from necc_casadi.certificate.prover.input_limits import (
     clipping_is_covered,
     holding_level,
+    holds_everywhere,
     input_level,
 )
 from necc_casadi.certificate.prover.invariant_sets import OverBox
@@ -147,10 +148,11 @@ def _is_curved(potential: Potential) -> bool:
 def prove_region_within_limits(potential: Potential, minimum: Interval) -> RegionProof | None:
     """The component at whose level the input limits bind, where nothing else ends it.
 
-    That is where clipping may do harm or, where that is not covered, where it begins.
+    That is where clipping may do harm or, where it does none or is not covered, where it begins.
     """
     components = Components(potential, minimum[list(potential.active)])
-    clipped = clipping_is_covered(potential.design)
+    design = potential.design
+    clipped = clipping_is_covered(design) and not holds_everywhere(design)
     level = _level_of_limits(components, clipped)
     proof = None if level is None else _at(components, level)
     for _ in range(_HALVINGS):
