@@ -42,10 +42,6 @@ _MOST_STEPS = 4
 _STIFFER, _DAMPED = 2.0 ** np.arange(9), 2.0 ** np.arange(-4, 5)
 
 
-#: The same where a solve from the trained V fails and the least cost among them is the next best.
-_ROUGHLY_STIFFER, _ROUGHLY_DAMPED = 4.0 ** np.arange(-3, 4), 4.0 ** np.arange(-3, 4)
-
-
 #: Shares of the rate by which the last solve is shifted, in order.
 _LESS = (1.0, 0.6, 0.0)
 
@@ -160,12 +156,6 @@ class LeastCost:
             if solved is not None and self._rate(self.begin(solved)) >= rate:
                 return solved
         return None
-
-    def _is_allowed(self, at: Begin) -> bool:
-        """Whether V is as curved, and its quadratic parts as stiff, as training asks for."""
-        floors = [n.lower(self.plan.anchor.kappa_min) for n in self.lifting.form.networks]
-        loss = self.lifting.loss(at.weights, at.xi_star, self.plan.curvature)
-        return loss <= SOLVED and bool((at.weights >= np.concatenate(floors)).all())
 
     def _as_it_is(self, begin: Begin) -> Responsive:
         """Where a solve began, for want of a better loop."""
