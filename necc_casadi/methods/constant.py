@@ -28,7 +28,11 @@ import sympy as sp
 from necc_casadi.arrays import Vector
 from necc_casadi.errors import ModelError
 from necc_casadi.methods.no_structure import NoStructure
-from necc_casadi.methods.refutation import no_constant_structure, uncontrollable_growth
+from necc_casadi.methods.refutation import (
+    no_constant_structure,
+    nothing_is_conserved,
+    uncontrollable_growth,
+)
 from necc_casadi.methods.semidefinite_program import SemidefiniteProgram
 from necc_casadi.methods.structure_family import combined, dissipation, reduced, symmetry_rows
 from necc_casadi.model.matching import Matching
@@ -54,6 +58,9 @@ _DIGITS = (2, 3, 5, 8, 12)
 
 #: Share of a vector across another one below which it is taken as rounding.
 _PARALLEL = 1e-9
+
+#: Sizes whose squares and their ratios are doubles.
+_FARTHEST = sp.Integer(2) ** 200
 
 #: States beyond which expressions take minutes.
 _LARGEST = 16
@@ -157,6 +164,9 @@ def constant_structure(
     if not np.all(np.isfinite(float_matrix(A))):
         return NoStructure(_FAMILY, "f has no finite slopes at the target", False)
     chosen = tuple(_sizes(x, A, sizes or {}, domain or {}))
+    if not all(1 / _FARTHEST < size < _FARTHEST for size in chosen):
+        reason = "the sizes of the states are too far from 1 for floating point"
+        return NoStructure(_FAMILY, reason, False)
     question = _Question(f, G, tuple(x), x_star, chosen)
     try:
         return _structure(question, A, name, units or {}, domain or {})
@@ -183,9 +193,13 @@ def _structure(
         return NoStructure(_FAMILY, "the target is no equilibrium", True)
     if None in still:
         return NoStructure(_FAMILY, "the target is not proved to be an equilibrium", False)
-    if uncontrollable_growth(A, question.G):
+    conserved = not nothing_is_conserved(question.slopes)
+    if uncontrollable_growth(A, question.G, conserved):
         reason = "no structure: a mode that no input reaches does not decay at the target"
         return NoStructure(_FAMILY, reason, True)
+    if conserved:
+        reason = "it is not tried, because a combination of states may stay whatever the inputs do"
+        return NoStructure(_FAMILY, reason, False)
     reason = "none was found"
     for roundings in _candidates(question):
         B = next((B for B in roundings if question.proved(B)), None)

@@ -37,6 +37,7 @@ class Found:
     chosen: Method | None  # what holds the target
     refusals: tuple[Refusal, ...] = ()  # of the methods that do not
     alternatives: tuple[Method, ...] = ()  # other structures of the method that was chosen
+    asked: bool = True  # whether the published loop is one of the methods that were asked
 
     @property
     def learnable(self) -> Method | None:
@@ -46,10 +47,18 @@ class Found:
 
     @property
     def refused(self) -> bool:
-        """Whether the target is refused: the published loop with proof, or each method with one."""
+        """Whether the target is refused: the published loop with proof, or each method with one.
+
+        A target that is no equilibrium is refused by every method.
+        """
         if self.chosen is not None:
             return False
-        if self.published is not None and self.published.verdict.assignable is False:
+        verdict = None if self.published is None else self.published.verdict
+        if (
+            verdict is not None
+            and verdict.assignable is False
+            and (self.asked or verdict.reason == "not_an_equilibrium")
+        ):
             return True
         return bool(self.refusals) and all(refusal.proved for refusal in self.refusals)
 
@@ -96,7 +105,7 @@ def find_method(
         if len(held) == most:
             break
     chosen = held[0] if held else None
-    return Found(published, chosen, tuple(refusals), tuple(held[1:]))
+    return Found(published, chosen, tuple(refusals), tuple(held[1:]), asked)
 
 
 def _published(

@@ -48,6 +48,9 @@ def shifted_plant(system: Modulated, x_star: Mapping[sp.Symbol, sp.Expr]) -> Pla
     x_star
         An equilibrium, exact.
     """
+    inputs = sp.Matrix(at(system.directions, x_star))
+    if is_zero((inputs.T * inputs).det()) is not False:
+        return "at the target the inputs act alike, or one does not act: none is singled out"
     u_star = system.holding_input(x_star).applyfunc(tidy)
     held = dict(zip(system.u, u_star, strict=True))
     if any(is_zero(e) is not True for e in at(system.motion.subs(held), x_star)):

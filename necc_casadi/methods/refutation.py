@@ -19,21 +19,36 @@ from necc_casadi.symbolic.definiteness import definiteness, rational
 from necc_casadi.symbolic.derivatives import at
 from necc_casadi.symbolic.expressions import is_finite
 from necc_casadi.symbolic.floats import float_matrix
-from necc_casadi.symbolic.linear_algebra import kernel
+from necc_casadi.symbolic.linear_algebra import has_rank, kernel
 from necc_casadi.symbolic.zero import Undecided, random_point
 
-__all__ = ["no_constant_structure", "uncontrollable_growth"]
+__all__ = ["no_constant_structure", "nothing_is_conserved", "uncontrollable_growth"]
 
 
 #: Denominators with which a dual certificate is rounded, the simplest first.
 _DENOMINATORS = (1, 12, 1000, 10**6)
 
 
-def uncontrollable_growth(A: sp.Matrix, G: sp.Matrix) -> bool:
+#: Points at which the rows of ∂s/∂x are told apart.
+_POINTS = 5
+
+
+def nothing_is_conserved(slopes: sp.Matrix) -> bool:
+    """Whether a·s ≡ 0 is proved to have no solution a ≠ 0, from ∂s/∂x: then G⊥F_d has full rank.
+
+    aG⊥x would be constant whatever the inputs do; F_d may hold it, and be singular along aG⊥.
+    """
+    symbols = slopes.free_symbols
+    sampled = [sp.Matrix(at(slopes, random_point(symbols, seed))) for seed in range(_POINTS)]
+    finite = [matrix for matrix in sampled if is_finite(matrix)]
+    return bool(finite) and has_rank(sp.Matrix.hstack(*finite), slopes.rows)
+
+
+def uncontrollable_growth(A: sp.Matrix, G: sp.Matrix, conserved: bool = False) -> bool:
     """Whether (A, G) is proved to have an uncontrollable eigenvalue λ with Re λ > 0, or λ = 0.
 
-    With g⊥ a left eigenvector, F_d∇²H₀ = A + GK has it too, but F_d∇²H₀ with ∇²H₀ ≻ 0 is stable,
-    and at λ = 0 curvature along g⊥ vanishes.
+    With g⊥ a left eigenvector, F_d∇²H₀ = A + GK has it too, but F_d∇²H₀ with ∇²H₀ ≻ 0 is stable.
+    λ = 0 counts unless something may be `conserved`: it asks for aG⊥F_d = 0.
     """
     reached = [sp.Matrix(G)]
     for _ in range(A.rows - 1):
@@ -49,7 +64,7 @@ def uncontrollable_growth(A: sp.Matrix, G: sp.Matrix) -> bool:
     if any(len(row) < modes.cols for row in entries):
         return False
     table = flint.fmpq_mat([[flint.fmpq(e.p, e.q) for e in row] for row in entries])
-    if table.rank() < modes.rows:
+    if not conserved and table.rank() < modes.rows:
         return True
     return any(root.real > 0 for root, _ in table.charpoly().numer().complex_roots())
 
@@ -60,7 +75,7 @@ def no_constant_structure(
     """Whether (i), (ii), (iii) are proved to have no solution, by an exact dual certificate.
 
     For Z, Y ⪰ 0, Z ≠ 0 with ⟨Z, S(B)⟩ = ⟨Y, BG⊥ᵀ + G⊥Bᵀ⟩ for every B of the family, S(B) ≻ 0 and
-    BG⊥ᵀ + G⊥Bᵀ ⪯ 0 exclude each other.
+    BG⊥ᵀ + G⊥Bᵀ ⪯ 0 exclude each other. That F_d asks for (iii) rests on nothing being conserved.
     """
     family = _family(slopes)
     r, n = slopes.shape

@@ -162,7 +162,8 @@ def _missing(space: Mapping[str, Any]) -> list[str]:
     """The names that a model needs and this one lacks."""
     if "f" in space and not {"J", "R", "H"} & set(space):
         return [name for name in _AFFINE if name not in space]
-    without = {"G"} if _inputs_inside(space) else set()
+    inside = any(_stands_inside(space, symbol) for symbol in _inputs_inside(space))
+    without = {"G"} if inside else set()
     return [name for name in _REQUIRED if name not in {*space, *without}]
 
 
@@ -171,6 +172,12 @@ def _inputs_inside(space: Mapping[str, Any]) -> tuple[sp.Symbol, ...]:
     value = space.get("u")
     symbols = value if isinstance(value, (tuple, list)) else (value,)
     return tuple(symbols) if all(isinstance(s, sp.Symbol) for s in symbols) else ()
+
+
+def _stands_inside(space: Mapping[str, Any], symbol: sp.Symbol) -> bool:
+    """Whether a symbol stands in J or R."""
+    matrices = (space.get(name) for name in "JR")
+    return any(isinstance(A, sp.MatrixBase) and A.has(symbol) for A in matrices)
 
 
 def _source(space: Mapping[str, Any]) -> Any:
@@ -305,15 +312,10 @@ class _Reader:
         self.space = space
         self.states = _symbols(space["x"], "x")
         self.xi = _symbols(space.get("xi", ()), "xi")
-        self.inputs = [s for s in _inputs_inside(space) if self._stands_inside(s)]
+        self.inputs = [s for s in _inputs_inside(space) if _stands_inside(space, s)]
         own = {str(s) for s in self._own}
         self.parameters = _parameters(self.table("params"), own, overrides)
         self._values = {s: self.parameters.get(str(s), _real(s)) for s in self._occurring()}
-
-    def _stands_inside(self, symbol: sp.Symbol) -> bool:
-        """Whether a symbol stands in J or R."""
-        matrices = (self.space.get(name) for name in "JR")
-        return any(isinstance(A, sp.MatrixBase) and A.has(symbol) for A in matrices)
 
     @property
     def _own(self) -> list[sp.Symbol]:

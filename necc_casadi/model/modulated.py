@@ -117,7 +117,7 @@ def make_modulated(
 
 
 def _check(plant: Modulated) -> None:
-    """J skew for every input, u affine, and inputs that act."""
+    """J skew and R symmetric for every input, u affine, and inputs that act."""
     for i in range(plant.n):
         for j in range(i + 1):
             if is_zero(plant.J[i, j] + plant.J[j, i]) is False:
@@ -126,6 +126,13 @@ def _check(plant: Modulated) -> None:
                     f"J must be skew-symmetric: J[{j},{i}] + J[{i},{j}] = "
                     f"{sp.simplify(plant.J[i, j] + plant.J[j, i])}",
                     f"Set J[{i},{j}] = -J[{j},{i}].",
+                )
+            if is_zero(plant.R[i, j] - plant.R[j, i]) is False:
+                raise ModelError(
+                    "r_not_symmetric",
+                    f"R must be symmetric: R[{j},{i}] = {plant.R[j, i]}, "
+                    f"R[{i},{j}] = {plant.R[i, j]}",
+                    "Make the two entries equal; the skew part belongs into the other matrix.",
                 )
     for matrix, label in ((plant.J, "J"), (plant.R, "R")):
         for entry in matrix:

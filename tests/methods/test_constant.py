@@ -199,7 +199,7 @@ integers = st.integers(-3, 3)
 @given(st.lists(integers, min_size=9, max_size=9))
 @settings(max_examples=40, deadline=None)
 def test_one_unactuated_direction_is_decided_by_its_mode(entries):
-    """ẋ₃ = a·x is the row without an input: no structure iff a ~ e₃ and a₃ ≥ 0."""
+    """ẋ₃ = a·x is the row without an input: no structure iff a ~ e₃ and a₃ > 0."""
     x = sp.symbols("x1:4", real=True)
     f = sp.Matrix(3, 3, entries) * sp.Matrix(x)
     G = sp.Matrix([[1, 0], [0, 1], [0, 0]])
@@ -208,7 +208,7 @@ def test_one_unactuated_direction_is_decided_by_its_mode(entries):
     if any(coupling) or own < 0:
         assert isinstance(result, Matching)
     else:
-        assert result.proved
+        assert result.proved == (own > 0)
 
 
 @given(st.lists(integers, min_size=9, max_size=9))
@@ -230,6 +230,8 @@ def test_a_mode_that_no_input_reaches_and_that_grows_is_found():
     assert uncontrollable_growth(A, G)
     assert not uncontrollable_growth(A - sp.diag(0, R(1, 50), 0), G)
     assert uncontrollable_growth(sp.zeros(2, 2), sp.Matrix([0, 1]))
+    assert not uncontrollable_growth(sp.zeros(2, 2), sp.Matrix([0, 1]), conserved=True)
+    assert uncontrollable_growth(sp.diag(1, 0), sp.Matrix([0, 1]), conserved=True)
     assert not uncontrollable_growth(A, sp.Matrix([1, 0, 0]))
 
 
@@ -287,6 +289,33 @@ def test_the_plain_loop_accepts_the_structure(found, case):
     loop = interconnect(matching.plant, default_controller(matching.plant))
     verdict = judge(loop, find_casimirs(loop, (), target), target)
     assert (verdict.reason, verdict.stability) == ("ok", "asymptotic")
+
+
+@pytest.mark.parametrize("F", [[[0, 0], [0, -1]], [[0, -1, 1], [1, 0, 1], [-1, -1, 0]]])
+def test_a_structure_that_conserves_something_is_not_refused(F):
+    """F itself is constant and H₀ least at 0: with ℓF = 0 = ℓG a linear function stays."""
+    F = sp.Matrix(F)
+    x = sp.symbols(f"x1:{F.rows + 1}", real=True)
+    H = sum(s**2 for s in x) + x[0] ** 3
+    G = sp.Matrix([0, 1]) if len(x) == 2 else sp.Matrix([1, 1, 0])
+    f = F * sp.Matrix([sp.diff(H, s) for s in x])
+    result, _ = structure_of(f, G, x, [0] * len(x))
+    assert not (isinstance(result, NoStructure) and result.proved)
+
+
+def test_a_mode_at_rest_that_bends_later_is_refused():
+    """ẋ₁ = x₁³ + x₁²: nothing is conserved, though the linearisation has λ = 0."""
+    x1, x2 = x = sp.symbols("x1:3", real=True)
+    result, _ = structure_of([x1**3 + x1**2, x2], [0, 1], x, (0, 0))
+    assert result.proved
+
+
+@pytest.mark.parametrize("size", [1e-300, 1e300])
+def test_sizes_beyond_floating_point_are_told(size):
+    f, G, x, star = pendulum_by_torque()
+    result, _ = structure_of(f, G, x, star, sizes={x[0]: size, x[1]: 1 / size})
+    assert not result.proved
+    assert "sizes" in result.reason
 
 
 def test_large_plants_and_poles_are_told():

@@ -175,6 +175,8 @@ def test_random_converters_are_rewritten_exactly(skew, push, loss):
         ("G = sp.Matrix([[1, 0], [0, 1]])", "shape", "G"),
         ("u_limits = [(0, 1), (0, 1)]", "limits", "u_limits"),
         ("E = sp.Matrix([phi, 0])", "undefined_symbol", "E"),
+        ("R = sp.Matrix([[0, u], [0, 0]])", "r_not_symmetric", "R"),
+        ("J = sp.zeros(2)", "model_file", "does not define G"),
     ],
 )
 def test_faults_of_a_model_are_named(tmp_path, line, code, named):
@@ -184,6 +186,34 @@ def test_faults_of_a_model_are_named(tmp_path, line, code, named):
         load_model(path)
     assert caught.value.code == code
     assert named in str(caught.value)
+
+
+def test_a_target_at_which_no_input_acts_is_told(boost):
+    """At rest ∂ẋ/∂u = (Q, −φ) is 0: no u* is singled out."""
+    phi, Q = boost.system.x
+    found = find_method(boost, {phi: sp.Integer(0), Q: sp.Integer(0)})
+    assert found.chosen is None
+    assert not found.refused
+    assert any("input" in refusal.reason for refusal in found.refusals)
+
+
+def test_a_method_is_refused_for_what_it_lacks_itself(tmp_path):
+    """The published loop sees no q here; that says nothing of what was asked instead."""
+    path = tmp_path / "two.py"
+    path.write_text(
+        'import sympy as sp\nq, p = x = sp.symbols("q p")\n'
+        "J, R, G = sp.Matrix([[0, 1], [-1, 0]]), sp.zeros(2), sp.eye(2)\n"
+        "H = p**2 / 2 + 1 - sp.cos(q)\n",
+        encoding="utf-8",
+    )
+    model = load_model(path)
+    x_star = parse_target(model.system, "q=1,p=0")
+    assert find_method(model, x_star, "interconnection").refused
+    for method in ("constant", "modulated", "mechanical"):
+        found = find_method(model, x_star, method)
+        assert found.chosen is None
+        assert not found.refused
+    assert find_method(model, x_star, "shaping").chosen.name == "shaping"
 
 
 def test_another_u_or_E_is_the_files_own_affair(tmp_path):

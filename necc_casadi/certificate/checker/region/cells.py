@@ -103,7 +103,7 @@ class CellsProof:
         """Whether ∇²w ≻ 0 on the core, which lies in the box."""
         core, whole = self.region.core, self.region.box.whole
         inside = all(a <= lo and hi <= b for (lo, hi), (a, b) in zip(core, whole, strict=True))
-        return inside and self._everywhere(core, self.reduced.convex)
+        return inside and by_bisection(core, self.reduced.convex, _DEPTH)
 
     def cells_are_settled(self) -> bool:
         """Whether every marked cell is in the core, or ∇w ≠ 0 wherever w ≤ c on it."""

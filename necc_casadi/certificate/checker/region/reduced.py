@@ -94,8 +94,11 @@ class Reduced:
             bool(lo < v) and bool(v < hi) for v, (lo, hi) in zip(e, self.tube, strict=True)
         )
 
-    def convex(self, cover: Cover | None) -> bool:
-        """Whether V(s, ·) has a critical point and ∇²w ≻ 0 on the cell of a cover."""
+    def convex(self, cell: Box) -> bool:
+        """Whether V(s, ·) has a critical point and ∇²w ≻ 0 on a cell."""
+        if not self.e:  # w is V, of whose Hessian more is known than entry by entry
+            return positive(self.energy.hessian(cell), 0)
+        cover = self.cover(cell)
         return cover is not None and cover.convex and self.within_tube(cover.e)
 
     def _factor(self, F: Numbers) -> arb_mat | None:

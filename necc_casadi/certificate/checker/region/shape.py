@@ -56,6 +56,7 @@ def check_region_shape(region: Region, count: int) -> None:
         and 0 < box.parts <= _MOST_PARTS
         and box.parts & (box.parts - 1) == 0
         and len(region.tube) in (0, len(region.floor))
+        and (not region.tube or region.bends == (None, None))
         and all(-math.inf < lo < hi < math.inf for lo, hi in region.tube)
     )
     if not sound:

@@ -80,6 +80,12 @@ def test_a_tube_that_is_none_is_not_read(checked, tube):
         checked(lambda region: region.update(tube=tube))
 
 
+def test_bends_beside_a_tube_are_not_read(checked):
+    """Nothing rests on them, so nothing proves them."""
+    with pytest.raises(OutputError):
+        checked(lambda region: region.update(bends=[1.0, 1.0]))
+
+
 def test_a_tube_around_another_well_is_refused(checked):
     def change(region):
         ((lo, hi),) = region["tube"]
