@@ -16,7 +16,9 @@ import numpy as np
 import sympy as sp
 
 from necc_casadi import Certificate, certify, design
+from necc_casadi.model.control_affine import ControlAffine
 from necc_casadi.model.model_file import load_model
+from necc_casadi.model.modulated import Modulated, System
 from necc_casadi.pipeline.request import Request
 from necc_casadi.pipeline.run import run_design
 from necc_casadi.report.figures import (
@@ -26,10 +28,12 @@ from necc_casadi.report.figures import (
 )
 from necc_casadi.report.findings import Findings, attracts, global_claim, region_claim
 from necc_casadi.report.landscape_figure import landscape_figure
+from necc_casadi.report.methods import method_rows
 from necc_casadi.report.style import write_figure
 from necc_casadi.report.to_text import percent
 from necc_casadi.simulation.responses import simulate
 from necc_casadi.synthesis.options import Options
+from necc_casadi.verdict.verdict import Verdict
 
 DOCS = Path(__file__).parent
 IMAGES = DOCS / "images"
@@ -63,7 +67,7 @@ state, which that proof does not cover; the design is then proved to attract loc
 invariant, no more.
 """
 HEADER = (
-    "| plant | target | verdict | proved stability | proved region | sampled | simulated "
+    "| plant | target | held by | proved stability | proved region | sampled | simulated "
     "| limited by "
     "| global with `--global` |\n|---|---|---|---|---|---|---|---|---|"
 )
@@ -119,32 +123,37 @@ def global_outcome(path: Path, found: Findings) -> str:
     """What the certificate says of a design with ``--global``."""
     if found.certificate is None:
         return "–"
-    if found.verdict.stability == "stable":
+    method, certificate = found.method, found.certificate
+    if method.verdict.stability == "stable":
         return "no: this target cannot be made to attract"
-    if found.certificate.is_global:
-        return "**yes**, also without `--global`"
-    model = load_model(path)
-    options = Options(convex=True, D=model.D, Dc=model.Dc)
-    made = design(found.loop, found.casimirs, found.verdict, found.x_star, options)
-    certificate = certify(made)
     if certificate.is_global:
-        return "**yes**"
+        return "**yes**, also without `--global`"
+    if method.name == "interconnection":
+        model = load_model(path)
+        options = Options(convex=True, D=model.D, Dc=model.Dc)
+        certificate = certify(
+            design(method.loop, method.casimirs, method.verdict, found.x_star, options)
+        )
+        if certificate.is_global:
+            return "**yes**"
     claims = {claim.name: claim.statement for claim in certificate.claims}
+    if "global" not in claims:
+        return "no: nothing is proved of stability"
     return "no: " + claims["global"].removeprefix("no global claim: ")
 
 
 def row(run: Run) -> str:
     """One line of the table."""
     found, certificate = run.found, run.found.certificate
-    name = found.loop.plant.name
+    name = found.system.name
     link = f"[{name}](#{name.lower().replace(' ', '-')})"
     if certificate is None:
-        cells = [f"refused: `{found.verdict.reason}`", *["–"] * 6]
+        cells = [f"refused: `{found.found.published.verdict.reason}`", *["–"] * 6]
     else:
         share, sampled = found.simulated_share, found.domain_share
         aims = certificate.stability == "asymptotic"
         cells = [
-            "assignable",
+            found.method.name,
             certificate.stability or "none",
             proved_region(certificate),
             "–" if sampled is None else f"{100 * sampled:.3g} %",
@@ -169,17 +178,23 @@ def proved_region(certificate: Certificate) -> str:
 
 def section(path: Path, runs: list[Run]) -> str:
     """One plant: its equations, then what happens at each target."""
-    plant = load_model(path).loop.plant
-    rows = [
-        f"## {plant.name}\n",
-        f"`examples/{path.name}`. {summary_of(path)}\n",
-        f"$$H = {sp.latex(plant.H)}$$\n",
-    ]
+    plant = load_model(path).system
+    rows = [f"## {plant.name}\n", f"`examples/{path.name}`. {summary_of(path)}\n"]
+    if not isinstance(plant, ControlAffine):
+        rows.append(f"$$H = {sp.latex(plant.H)}$$\n")
     if plant.n <= 6:
-        structure = {"J": plant.J, "R": plant.R, "G": plant.G}
+        structure = structure_of(plant)
         shown = ",\\quad ".join(f"{k} = {sp.latex(sp.Matrix(v))}" for k, v in structure.items())
         rows.append(f"$$x = ({', '.join(map(sp.latex, plant.x))}),\\quad {shown}$$\n")
     return "\n".join(rows + [outcome(run) for run in runs])
+
+
+def structure_of(plant: System) -> dict[str, sp.MatrixBase]:
+    """What the model file gives beside H."""
+    if isinstance(plant, ControlAffine):
+        return {"f": plant.f, "G": plant.g}
+    structure = {"J": plant.J, "R": plant.R, "G": plant.G}
+    return structure | ({"E": plant.E} if isinstance(plant, Modulated) else {})
 
 
 def summary_of(path: Path) -> str:
@@ -190,13 +205,14 @@ def summary_of(path: Path) -> str:
 def outcome(run: Run) -> str:
     """Casimirs, verdict, what is proved, how far Ω reaches, and what the closed loop does."""
     found = run.found
-    casimirs = "; ".join(f"${sp.latex(c)}$" for c in found.casimirs.functions) or "none"
-    rows = [
-        f"### {found.loop.plant.name}, target {run.target}\n",
-        f"- Casimirs: {casimirs} ({len(found.casimirs.functions)} of "
-        f"{found.casimirs.generic_count})",
-        f"- Verdict: {verdict_text(found)}",
-    ]
+    rows = [f"### {found.system.name}, target {run.target}\n"]
+    published = found.found.published
+    if published is not None:
+        casimirs = "; ".join(f"${sp.latex(c)}$" for c in published.casimirs.functions) or "none"
+        count = f"{len(published.casimirs.functions)} of {published.casimirs.generic_count}"
+        rows.append(f"- Casimirs of the published loop: {casimirs} ({count})")
+        rows.append(f"- Verdict on it: {verdict_text(published.verdict)}")
+    rows += [f"- {label or '…'}: {text}" for label, text in method_rows(found.found)]
     if found.design is None or found.certificate is None:
         return "\n".join(rows) + "\n"
     for claim in found.certificate.claims:
@@ -220,13 +236,13 @@ def outcome(run: Run) -> str:
     for name, figure in pictures.items():
         picture = f"{run.picture}-{name.split()[-1]}.png"
         write_figure(figure, IMAGES / picture, dpi=70)
-        rows.append(f"![{found.loop.plant.name}: {name}](images/{picture})\n")
+        rows.append(f"![{found.system.name}: {name}](images/{picture})\n")
     return "\n".join(rows)
 
 
 def reach(found: Findings) -> str:
     """A table of how far Ω reaches in each state."""
-    made, units = found.design, found.loop.plant.units
+    made, units = found.design, found.system.units
     lines = ["| state | target | on Ω, proved |", "|---|---|---|"]
     for name, star in zip(made.loop.states, made.z_star, strict=True):
         side = found.certificate.reach[name]
@@ -237,9 +253,8 @@ def reach(found: Findings) -> str:
     return "\n".join(lines)
 
 
-def verdict_text(found: Findings) -> str:
+def verdict_text(verdict: Verdict) -> str:
     """The verdict in one sentence."""
-    verdict = found.verdict
     if not verdict.assignable:
         return f"**{verdict.reason}**. {verdict.explanation}"
     ceiling = "no ceiling on a" if verdict.a_max is None else f"a below {verdict.a_max:.3g}"
