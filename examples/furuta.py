@@ -26,5 +26,6 @@ G = sp.Matrix([0, 0, 1, 0])
 H = (swing * p_phi**2 - 2 * M12 * p_phi * p_theta + M11 * p_theta**2) / (2 * det)
 H += rod * g * rod_length / 2 * (1 + sp.cos(theta))
 
+domain = {phi: (-3, 3), theta: (-1.2, 1.2)}
 units = {phi: "rad", theta: "rad", p_phi: "kg m²/s", p_theta: "kg m²/s"}
 target = {phi: 0, theta: 0, p_phi: 0, p_theta: 0}
