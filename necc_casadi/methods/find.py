@@ -95,14 +95,15 @@ def find_method(
         published = question.shifted_loop
     refusals: list[Refusal] = []
     held: list[Method] = []
-    for answer in question.answers():
-        if isinstance(answer, Refusal):
-            refusals += [] if held else [answer]
-        elif held and answer.name != held[0].name:
-            break
-        else:
-            held.append(answer)
-        if len(held) == most:
+    for answers in question.families():
+        for answer in answers:
+            if isinstance(answer, Method):
+                held.append(answer)
+            elif not held:
+                refusals.append(answer)
+            if len(held) == most:
+                break
+        if held:
             break
     chosen = held[0] if held else None
     return Found(published, chosen, tuple(refusals), tuple(held[1:]), asked)
@@ -148,8 +149,8 @@ class _Question:
     wanted: MethodWord
     say: Callable[[str], None]
 
-    def answers(self) -> Iterator[Method | Refusal]:
-        """What the methods other than the published loop say, in order."""
+    def families(self) -> Iterator[Iterator[Method | Refusal]]:
+        """What each method other than the published loop says, in order."""
         families: dict[MethodName, Callable[[], Iterator[Method | Refusal]]] = {
             "modulated": self._modulated,
             "shaping": self._shaping,
@@ -158,7 +159,7 @@ class _Question:
         }
         for name, answers in families.items():
             if self.wanted in ("auto", name):
-                yield from _decided(name, answers)
+                yield _decided(name, answers)
 
     @cached_property
     def _shifted(self) -> Plant | str:

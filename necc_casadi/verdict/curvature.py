@@ -15,9 +15,9 @@ import sympy as sp
 from necc_casadi.arrays import Vector
 from necc_casadi.model.sizes import power_of_two
 from necc_casadi.symbolic.definiteness import UNDECIDED, Definiteness, definiteness, rational
-from necc_casadi.symbolic.floats import float_matrix
+from necc_casadi.symbolic.floats import float_matrix, to_float
 from necc_casadi.symbolic.linear_algebra import kernel, reduced_rows
-from necc_casadi.symbolic.zero import is_zero, sign
+from necc_casadi.symbolic.zero import Undecided, is_zero, sign
 
 __all__ = ["Curvature", "best_curvature"]
 
@@ -55,6 +55,9 @@ def best_curvature(
         return Curvature("positive", (sp.Integer(0),) * len(directions), None)
     whiten = np.linalg.inv(np.linalg.cholesky(float_matrix(metric)))
     zero = (sp.Integer(0),) * len(directions)
+    beyond = [e for e in Q0 if not np.isfinite(to_float(e))]
+    if beyond:
+        raise Undecided(beyond[0])
     if all(Q.is_zero_matrix for Q in directions):
         kind, vector = definiteness(Q0)
         least = float(np.linalg.eigvalsh(whiten @ float_matrix(Q0) @ whiten.T)[0])
