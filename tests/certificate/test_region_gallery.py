@@ -97,14 +97,20 @@ WHOLE = {
     "hydraulic_cylinder", "mass_spring_chain", "mems_comb", "quarter_car", "qube_pendulum",
     "series_rlc", "symmetric_chain", "tora",
 }  # fmt: skip
-REFUSED = {"parallel_rlc", "inertia_wheel", "vtol", "ball_and_beam", "furuta"}
+#: Those that the published loop does not hold; tests/methods/test_examples.py has them.
+OTHERWISE = {
+    "ball_and_beam", "boost", "buck_boost", "cstr", "cuk", "flexible_joint", "furuta",
+    "generator_excitation", "inertia_wheel", "maglev_voltage", "mems_switch", "parallel_rlc",
+    "pmsm", "quadruple_tank", "rlc_ladder", "servo_pendulum", "three_tanks", "turbine_generator",
+    "vtol",
+}  # fmt: skip
 REAL = [name for name, kind in ENDED.items() if kind != "input_limits"]
 #: As a share of the obstacle's height above V(z̄): beyond it, by more than any rounding.
 BEYOND = 1.02
 
 
 def test_every_example_is_named():
-    assert {path.stem for path in EXAMPLES.glob("*.py")} == ENDED.keys() | WHOLE | REFUSED
+    assert {path.stem for path in EXAMPLES.glob("*.py")} == ENDED.keys() | WHOLE | OTHERWISE
 
 
 def default(name):

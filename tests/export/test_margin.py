@@ -206,6 +206,7 @@ def test_the_functional_mock_up_unit_gives_the_margin(tmp_path):
     result = fmpy.simulate_fmu(
         str(unit), start_values=start, stop_time=0.01, output_interval=0.01, output=["margin"]
     )
-    first = np.concatenate([[0.1, 0.5], made.xi_star])
+    xi = made.xi_star if made.initial_xi == "minimum" else made.xi_at_start([0.1, 0.5])
+    first = np.concatenate([[0.1, 0.5], xi])
     expected = (certificate.level - made.V(first)) / (certificate.level - made.V(made.z_bar))
     assert result["margin"][0] == pytest.approx(expected, abs=1e-10)
