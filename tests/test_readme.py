@@ -70,9 +70,12 @@ def test_other_commands_of_the_readme(designed):
 
 def test_model_and_python_code_of_the_readme(designed, monkeypatch):
     folder, _ = designed
-    model, usage = blocks("python")
+    model, arm, usage = blocks("python")
     (folder / "own.py").write_text(model)
     done = run("necc-design own.py --target q=pi/4 --check", folder)
+    assert done.returncode == 0, done.stderr
+    (folder / "arm.py").write_text(arm)
+    done = run("necc-design arm.py --target q1=pi/4,q2=-pi/3 --check", folder)
     assert done.returncode == 0, done.stderr
     monkeypatch.chdir(folder)
     space: dict[str, object] = {}

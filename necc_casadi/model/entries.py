@@ -22,6 +22,8 @@ __all__ = [
     "PropertyKind",
     "check_states",
     "check_structure",
+    "decide_psd",
+    "decide_rank",
     "not_psd",
     "scalar_entry",
     "shaped_matrix",
@@ -170,8 +172,8 @@ def check_structure(
     """
     return (
         _decide_skew(J, f"J{suffix}", code_skew),
-        _decide_psd(R, f"R{suffix}", code_symmetric, code_psd),
-        _decide_rank(G, f"G{suffix}", code_rank),
+        decide_psd(R, f"R{suffix}", code_symmetric, code_psd),
+        decide_rank(G, f"G{suffix}", code_rank),
     )
 
 
@@ -194,8 +196,14 @@ def _decide_skew(J: sp.MatrixBase, label: str, code: str) -> Property:
     return Property("skew", label, proved)
 
 
-def _decide_psd(R: sp.MatrixBase, label: str, code_symmetric: str, code_psd: str) -> Property:
-    """Decide R = Rᵀ ⪰ 0; what is undecided is sampled once the target is known."""
+def decide_psd(R: sp.MatrixBase, label: str, code_symmetric: str, code_psd: str) -> Property:
+    """Decide R = Rᵀ ⪰ 0; what is undecided is sampled once the target is known.
+
+    Raises
+    ------
+    ModelError
+        With the code of the first of the two that fails.
+    """
     proved = True
     for i in range(R.rows):
         for j in range(i):
@@ -214,8 +222,14 @@ def _decide_psd(R: sp.MatrixBase, label: str, code_symmetric: str, code_psd: str
     return Property("psd", label, proved and verdict is True)
 
 
-def _decide_rank(G: sp.MatrixBase, label: str, code: str) -> Property:
-    """Decide that G has full rank (min of its sides) at generic points."""
+def decide_rank(G: sp.MatrixBase, label: str, code: str) -> Property:
+    """Decide that G has full rank (min of its sides) at generic points.
+
+    Raises
+    ------
+    ModelError
+        With the given code where it has not.
+    """
     full = min(G.shape)
     try:
         rank = generic_rank(sp.Matrix(G))

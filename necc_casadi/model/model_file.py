@@ -1,7 +1,8 @@
 """A user's model file to Plant and Controller; every number in it is taken as exact.
 
-A model file is Python and runs as the user's own code. Only ``x, J, R, G, H`` are required; a plant
-without such a form gives ``x, f, G``, one with inputs in J or R names them in ``u``.
+A model file is Python and runs as the user's own code. Only ``x, J, R, G, H`` are required; a
+mechanical plant may give ``q, M, V, B`` in their place, a plant without such a form gives
+``x, f, G``, one with inputs in J or R names them in ``u``.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ from necc_casadi.model.closed_loop import ClosedLoop, interconnect
 from necc_casadi.model.control_affine import ControlAffine
 from necc_casadi.model.controller import Controller, default_controller, make_controller
 from necc_casadi.model.cost import weight_matrix
+from necc_casadi.model.mechanical_file import Mechanical, is_mechanical, phase_space
 from necc_casadi.model.modulated import (
     Modulated,
     System,
@@ -144,7 +146,7 @@ def load_model(path: str | Path, overrides: Mapping[str, str] | None = None) -> 
         raise ModelError(
             "model_file",
             f"{path.name} does not define {', '.join(missing)}",
-            "A model file defines x, J, R, G and H with sympy (or x, f and G).",
+            "A model file defines x, J, R, G and H with sympy (or x, f, G; or q, M, V, B).",
         )
     try:
         return replace(_build(path, space, overrides or {}), notes=_mistyped(space))
@@ -160,6 +162,8 @@ def load_model(path: str | Path, overrides: Mapping[str, str] | None = None) -> 
 
 def _missing(space: Mapping[str, Any]) -> list[str]:
     """The names that a model needs and this one lacks."""
+    if is_mechanical(space):
+        return []
     if "f" in space and not {"J", "R", "H"} & set(space):
         return [name for name in _AFFINE if name not in space]
     inside = any(_stands_inside(space, symbol) for symbol in _inputs_inside(space))
@@ -224,11 +228,12 @@ def _execute(path: Path) -> dict[str, Any]:
 
 def _mistyped(space: Mapping[str, Any]) -> tuple[str, ...]:
     """Names that nothing reads, though they look like an optional name that the file lacks."""
-    absent = [name for name in _OPTIONAL if name not in space and len(name) >= _LONG]
+    optional = (*_OPTIONAL, "friction") if is_mechanical(space) else _OPTIONAL
+    absent = [name for name in optional if name not in space and len(name) >= _LONG]
     near = {
         name: get_close_matches(name, absent, n=1, cutoff=_ALIKE)
         for name in space
-        if name not in (*_REQUIRED, *_OPTIONAL) and not name.startswith("_")
+        if name not in (*_REQUIRED, *optional) and not name.startswith("_")
     }
     return tuple(
         f"the model file's {name} is not read: did you mean {meant[0]}?"
@@ -238,6 +243,8 @@ def _mistyped(space: Mapping[str, Any]) -> tuple[str, ...]:
 
 
 def _build(path: Path, space: dict[str, Any], overrides: Mapping[str, str]) -> Model:
+    if is_mechanical(space):
+        space = {**space, "x": phase_space(space["q"])}
     file = _Reader(space, overrides)
     plant = _plant(path, file)
     controller = _controller(plant, file) if isinstance(plant, Plant) else None
@@ -274,17 +281,16 @@ def _plant(path: Path, file: _Reader) -> System:
         },
         "u_limits": limits,
     }
-    if "J" not in space:
+    if "J" not in space and not is_mechanical(space):
         plant: Modulated | ControlAffine = make_control_affine(
             x, file.attempt("f"), file.attempt("G"), **about
         )
-    elif file.inputs or _source(space) is not None:
-        E = None if _source(space) is None else file.read(_source(space))
-        G = file.attempt("G") if "G" in space else None
-        J, R, H = (file.attempt(name) for name in ("J", "R", "H"))
-        plant = make_modulated(x, [_real(s) for s in file.inputs], J, R, G, E, H, **about)
     else:
-        return make_plant(x, *(file.attempt(name) for name in ("J", "R", "G", "H")), **about)
+        J, R, G, H = _structure(file, x)
+        if not file.inputs and _source(space) is None:
+            return make_plant(x, J, R, G, H, **about)
+        E = None if _source(space) is None else file.read(_source(space))
+        plant = make_modulated(x, [_real(s) for s in file.inputs], J, R, G, E, H, **about)
     if limits is not None and len(limits) != plant.m:
         raise ModelError(
             "limits",
@@ -294,15 +300,31 @@ def _plant(path: Path, file: _Reader) -> System:
     return plant
 
 
+def _structure(file: _Reader, x: Sequence[sp.Symbol]) -> tuple[Any, Any, Any, Any]:
+    """J, R, G (None where there is none) and H, with the parameters' values in them."""
+    if is_mechanical(file.space):
+        mechanical = Mechanical.of(x, *(file.attempt(name) for name in ("M", "V", "B", "friction")))
+        mechanical.check()
+        return mechanical.structure
+    J, R, G, H = (file.attempt(name) for name in ("J", "R", "G", "H"))
+    return J, R, G, H
+
+
 def _parametric(file: _Reader) -> Parametric | None:
     """The plant with its parameters as symbols; it was checked with their values."""
-    if not file.parameters or not {"J", "R", "G", "H"} <= set(file.space) or file.inputs:
+    if not file.parameters or file.inputs or _source(file.space) is not None:
         return None
-    if _source(file.space) is not None:
+    if is_mechanical(file.space):
+        x = [_real(s) for s in file.states]
+        parts = (file.unvalued(name) for name in ("M", "V", "B", "friction"))
+        J, R, G, H = Mechanical.formal(x, *parts).structure
+    elif {"J", "R", "G", "H"} <= set(file.space):
+        J, R, G, H = (file.unvalued(name) for name in ("J", "R", "G", "H"))
+    else:
         return None
-    J, R, G = (sp.ImmutableMatrix(file.unvalued(name)) for name in ("J", "R", "G"))
-    H = file.unvalued("H")
-    return Parametric(J, R, G, H[0, 0] if isinstance(H, sp.MatrixBase) else H, file.parameters)
+    energy = H[0, 0] if isinstance(H, sp.MatrixBase) else H
+    matrix = sp.ImmutableMatrix
+    return Parametric(matrix(J), matrix(R), matrix(G), energy, file.parameters)
 
 
 class _Reader:
@@ -347,19 +369,22 @@ class _Reader:
         return expr.xreplace({s: self._values.get(s, _real(s)) for s in expr.free_symbols})
 
     def unvalued(self, name: str) -> Any:
-        """An entry of the plant with its parameters as symbols."""
-        value = self.space[name]
+        """An entry of the plant with its parameters as symbols; None where there is none."""
+        value = self.space.get(name)
+        if value is None:
+            return None
         whole = sp.Matrix(value) if isinstance(value, (list, tuple, np.ndarray)) else value
         if isinstance(whole, sp.MatrixBase):
             return whole.applyfunc(_exactly)
         return _exactly(whole)
 
     def attempt(self, name: str) -> Any:
-        """An entry of the plant; what cannot be read is named by make_plant."""
+        """An entry of the plant, if there is one; what cannot be read is named by make_plant."""
+        value = self.space.get(name)
         try:
-            return self.read(self.space[name])
+            return self.read(value)
         except (TypeError, ValueError, AttributeError):
-            return self.space[name]
+            return value
 
 
 def _printable(text: str, label: str) -> str:
