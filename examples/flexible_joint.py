@@ -13,7 +13,7 @@ link, rotor = mass * reach**2, sp.Rational("0.01")  # kg m²
 spring = sp.Rational("0.8")  # N m/rad, gravity's is 1.18
 bearing, gear = sp.Rational("0.01"), sp.Rational("0.05")  # N m s
 
-name = "Flexible joint, upright"
+name = "Upright flexible joint"
 x = (q, theta, p_q, p_t)
 J = sp.Matrix([[0, 0, 1, 0], [0, 0, 0, 1], [-1, 0, 0, 0], [0, -1, 0, 0]])
 R = sp.diag(0, 0, bearing, gear)
