@@ -1,6 +1,6 @@
 """Attack on what is proved: many states of every claimed region, followed by an outside integrator.
 
-    python benchmarks/attack.py [--states 10000] [--only NAME,…]
+    python benchmarks/attack.py [--states 10000] [--only NAME[@TARGET];…]
 
 The plant comes from the model file alone, the controller from the exported C code, both compiled
 and stepped by a fixed-step Runge–Kutta method that is written here. Three quarters of the states
@@ -20,8 +20,9 @@ from pathlib import Path
 import numpy as np
 import sympy as sp
 
-from necc_casadi import Certificate, Design, choose, find_casimirs, judge, load_model
+from necc_casadi import Certificate, Design, choose, load_model
 from necc_casadi.export.c_project import export_c
+from necc_casadi.methods.find import find_method
 from necc_casadi.model.model_file import Model
 from necc_casadi.model.target import parse_target, target_from_model
 
@@ -65,9 +66,9 @@ void follow(int count, double *z, long steps, double dt, int kept, double *out) 
 
 def compiled(model: Model, made: Design, folder: Path, clipped: bool) -> ctypes.CDLL:
     """The closed loop as a shared library."""
-    plant = model.loop.plant
+    plant = model.system
     u = sp.symbols(f"u:{plant.m}", real=True)
-    slope = (plant.J - plant.R) * sp.Matrix(plant.grad_H) + plant.G * sp.Matrix(u)
+    slope = plant.drift + plant.directions * sp.Matrix(u)
     names = {s: sp.Symbol(f"x[{i}]") for i, s in enumerate(plant.x)}
     names |= {v: sp.Symbol(f"u[{k}]") for k, v in enumerate(u)}
     lines = [f"    xdot[{i}] = {sp.ccode(e.xreplace(names))};" for i, e in enumerate(slope)]
@@ -120,24 +121,33 @@ def far_from(made: Design, starts: np.ndarray, z: np.ndarray) -> np.ndarray:
     return np.asarray(away > 0.05 * np.maximum(before, 1))
 
 
+def kept(made: Design, states: np.ndarray, sign: int) -> np.ndarray:
+    """(x, ξ) from what the code keeps, (x, ξ − γ(x)), for sign 1; and back for −1."""
+    rows = states.reshape(-1, states.shape[-1]).copy()
+    n = made.loop.plant.n
+    rows[:, n:] += sign * made.lyapunov.gamma(rows[:, :n])
+    return rows.reshape(states.shape)
+
+
 def attacked(name: str, count: int) -> list[str]:
     """One row of the table."""
-    model = load_model(EXAMPLES / f"{name}.py")
-    plant, target = model.loop.plant, TARGETS.get(name)
+    model = load_model(EXAMPLES / f"{name.partition('@')[0]}.py")
+    name, _, target = name.partition("@")
+    plant, target = model.system, target or TARGETS.get(name)
     x = parse_target(plant, target) if target else target_from_model(plant, model.target)
-    casimirs = find_casimirs(model.loop, model.casimirs, x)
-    verdict = judge(model.loop, casimirs, x)
-    if not verdict.assignable:
+    method = find_method(model, x).chosen
+    if method is None:
         return [name, "refused", *["–"] * 6]
-    choice = choose(model.loop, casimirs, verdict, x)
+    choice = choose(method.loop, method.casimirs, method.verdict, x)
     made, certificate = choice.design, choice.certificate
     follows = [
         c.data.get("follows")
         for c in certificate.claims
         if c.name in ("region", "global") and c.holds
     ]
-    clipped = certificate.level_clipped is not None
-    top = (certificate.level_clipped if clipped else certificate.level) or 0.0
+    anywhere = any(c.name == "clipping" and c.data.get("everywhere") for c in certificate.claims)
+    clipped = anywhere or certificate.level_clipped is not None
+    top = certificate.level_clipped or certificate.level or 0.0
     starts = drawn(made, certificate, count, top)
     rates = np.abs(made.spectrum)
     slow = float(np.min(np.abs(made.spectrum.real)))
@@ -146,7 +156,7 @@ def attacked(name: str, count: int) -> list[str]:
     steps -= steps % CHECKPOINTS
     with tempfile.TemporaryDirectory() as folder:
         library = compiled(model, made, Path(folder), clipped)
-        z = np.ascontiguousarray(starts)
+        z = np.ascontiguousarray(kept(made, starts, -1))
         out = np.empty((len(z), CHECKPOINTS, z.shape[1]))
         pointer = ctypes.POINTER(ctypes.c_double)
         library.follow(
@@ -154,7 +164,7 @@ def attacked(name: str, count: int) -> list[str]:
             CHECKPOINTS, out.ctypes.data_as(pointer),
         )  # fmt: skip
         for _ in range(LONGER if "converges" in follows else 0):  # a valley of V may be flat
-            slow_ones = np.flatnonzero(far_from(made, starts, z))
+            slow_ones = np.flatnonzero(far_from(made, starts, kept(made, z, 1)))
             if not slow_ones.size:
                 break
             again, more = np.ascontiguousarray(z[slow_ones]), out[: len(slow_ones)].copy()
@@ -163,6 +173,7 @@ def attacked(name: str, count: int) -> list[str]:
                 ctypes.c_double(dt), CHECKPOINTS, more.ctypes.data_as(pointer),
             )  # fmt: skip
             z[slow_ones] = again
+    out, z = kept(made, out, 1), kept(made, z, 1)
     V = made.lyapunov.V(out.reshape(-1, z.shape[1])).reshape(len(z), -1)
     height = np.maximum(V[:, :1] - made.V(made.z_bar), 1e-300)
     rises = int((np.diff(V, axis=1) > 1e-7 * height).any(1).sum())
@@ -185,7 +196,7 @@ def main() -> None:
     parser.add_argument("--states", type=int, default=10_000)
     parser.add_argument("--only", default="")
     given = parser.parse_args()
-    names = given.only.split(",") if given.only else sorted(p.stem for p in EXAMPLES.glob("*.py"))
+    names = given.only.split(";") if given.only else sorted(p.stem for p in EXAMPLES.glob("*.py"))
     print(
         "| plant | claim | inputs | states | V rises | leave reach | not near the target | steps |"
     )

@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 import sympy as sp
 
-from necc_casadi.model.control_affine import Preliminary
 from necc_casadi.model.matching import Matching
 from necc_casadi.model.modulated import System
 from necc_casadi.model.plant import Plant
@@ -27,7 +26,7 @@ def plant_with_feedback(
 ) -> tuple[Plant, tuple[sp.Expr, ...]]:
     """The target structure with its feedback, ũ in the unit of u, and its known γ.
 
-    With C near A(x*), ũ = C⁻¹w turns G_d, A and γ into G_dC⁻¹, AC⁻¹ and γC⁻¹, and the gain is
+    With C near B(x*), ũ = C⁻¹w turns G_d, B and γ into G_dC⁻¹, BC⁻¹ and γC⁻¹, and the gain is
     near 1 at the target: sizes and limits of u are those of w. Limits, sizes and domain are those
     of the plant as the user gives it.
     """
@@ -35,7 +34,7 @@ def plant_with_feedback(
     G = sp.ImmutableMatrix(matching.plant.G * inverse)
     gain = sp.ImmutableMatrix(matching.gain * inverse)
     origin = like if isinstance(like, Plant) else None
-    ahead = Preliminary(matching.drift, matching.ports, matching.u0, gain, origin)
+    ahead = replace(matching.ahead, gain=gain, origin=origin)
     plant = replace(
         matching.plant,
         G=G,
@@ -49,7 +48,7 @@ def plant_with_feedback(
 
 
 def _scale(matching: Matching, x_star: Mapping[sp.Symbol, sp.Expr]) -> sp.Matrix:
-    """A(x*) in a few digits; 1 where it is singular."""
+    """B(x*) in a few digits; 1 where it is singular."""
     there = at(matching.gain, x_star)
     values = np.array([[to_float(e) for e in row] for row in there.tolist()], float)
     if not np.isfinite(values).all() or np.linalg.matrix_rank(values) < len(values):

@@ -35,6 +35,7 @@ from necc_casadi.methods.refutation import (
 )
 from necc_casadi.methods.semidefinite_program import SemidefiniteProgram
 from necc_casadi.methods.structure_family import combined, dissipation, reduced, symmetry_rows
+from necc_casadi.model.control_affine import Preliminary
 from necc_casadi.model.matching import Matching
 from necc_casadi.model.plant import make_plant
 from necc_casadi.symbolic.definiteness import definiteness, rational
@@ -341,13 +342,15 @@ def _matching(
     away = sp.Matrix([v - question.x_star[v] for v in question.x])
     shaping = (N * alpha.inv()).T * away if alpha.rank() == alpha.rows else sp.zeros(0, 1)
     matching = Matching(
-        drift=sp.ImmutableMatrix(question.f),
-        ports=sp.ImmutableMatrix(G),
+        ahead=Preliminary(
+            sp.ImmutableMatrix(question.f),
+            sp.ImmutableMatrix(G),
+            sp.ImmutableMatrix(u0.applyfunc(_tidy)),
+            sp.ImmutableMatrix(sp.eye(G.cols)),
+        ),
         plant=make_plant(
             question.x, (F - F.T) / 2, -(F + F.T) / 2, G, H, name=name, units=units, domain=domain
         ),
-        u0=sp.ImmutableMatrix(u0.applyfunc(_tidy)),
-        gain=sp.ImmutableMatrix(sp.eye(G.cols)),
         shaping=tuple(sp.expand(entry) for entry in shaping),
     )
     return matching if matching.holds else "the matching equations could not be proved"

@@ -31,6 +31,7 @@ import sympy as sp
 from necc_casadi.errors import ModelError
 from necc_casadi.methods.mechanical_model import FreeRow, MechanicalModel, mechanical_model, short
 from necc_casadi.methods.no_structure import NoStructure
+from necc_casadi.model.control_affine import Preliminary
 from necc_casadi.model.matching import Matching
 from necc_casadi.model.plant import Plant, make_plant
 from necc_casadi.symbolic.derivatives import gradient, value_at
@@ -390,23 +391,23 @@ def _matching(question: _Question, shape: _Shape) -> Matching:
     solve = sp.Matrix(plant.G[k:, :]).extract(rows, list(range(k - 1))).inv().applyfunc(short)
     u0 = solve * _force(question, shape, J2).extract(rows, [0])
     A = (solve * free.extract(rows, list(range(k - 1)))).applyfunc(short)
-    return Matching(
-        drift=(plant.J - plant.R) * plant.grad_H,
-        ports=plant.G,
-        plant=make_plant(
-            plant.x,
-            J,
-            sp.zeros(2 * k),
-            sp.Matrix.vstack(sp.zeros(k, k - 1), free),
-            H,
-            name=plant.name,
-            units=plant.units,
-            domain=plant.domain,
-        ),
-        u0=sp.ImmutableMatrix([_in_momenta(entry, model) for entry in u0]),
-        gain=sp.ImmutableMatrix(A),
-        shaping=shape.gammas,
+    ahead = Preliminary(
+        plant.flow,
+        plant.G,
+        sp.ImmutableMatrix([_in_momenta(entry, model) for entry in u0]),
+        sp.ImmutableMatrix(A),
     )
+    structure = make_plant(
+        plant.x,
+        J,
+        sp.zeros(2 * k),
+        sp.Matrix.vstack(sp.zeros(k, k - 1), free),
+        H,
+        name=plant.name,
+        units=plant.units,
+        domain=plant.domain,
+    )
+    return Matching(ahead, structure, shape.gammas)
 
 
 def _gyroscopic(question: _Question, shape: _Shape) -> sp.Matrix:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -14,20 +15,20 @@ from necc_casadi.symbolic.zero import is_zero
 __all__ = ["ControlAffine", "Equilibria", "Preliminary"]
 
 
-class Equilibria:
+class Equilibria(ABC):
     """What follows from f and g alone, for anything that has them."""
 
     x: tuple[sp.Symbol, ...]  # (n,)
 
     @property
+    @abstractmethod
     def drift(self) -> sp.ImmutableMatrix:
         """f, n × 1."""
-        raise NotImplementedError
 
     @property
+    @abstractmethod
     def directions(self) -> sp.ImmutableMatrix:
         """g, n × m."""
-        raise NotImplementedError
 
     @property
     def n(self) -> int:

@@ -195,8 +195,9 @@ def _behind_feedback(
         guessed = (*own.guessed[: len(own.guessed)], *sorted(left))
     rates = _numbers(at(sp.Matrix(plant.drift).jacobian(plant.x), x_star))
     curvature = _numbers(at(sp.hessian(plant.H, plant.x), x_star)) * np.outer(state, state)
-    times = [float(1 / abs(v)) for v in np.linalg.eigvals(rates) if abs(v) > _ROUNDING]
-    energy = geometric_mean(map(float, np.linalg.eigvalsh(curvature))) or found.energy
+    speeds = np.abs(np.linalg.eigvals(rates)).astype(np.float64)
+    times = [1 / rate for rate in _significant(speeds)]
+    energy = geometric_mean(_significant(np.linalg.eigvalsh(curvature))) or found.energy
     slopes = _slopes(loop, casimirs, x_star, xi)
     known = _given(loop)
     inner = _controller_sizes(loop, known, slopes, state, energy, inputs, xi)
@@ -210,6 +211,12 @@ def _behind_feedback(
         casimir=_casimir_sizes(slopes, everything),
         guessed=guessed,
     )
+
+
+def _significant(values: Vector) -> list[float]:
+    """Those that are no rounding of the largest one."""
+    largest = float(np.max(values, initial=0.0))
+    return [float(v) for v in values if v > _ROUNDING * largest]
 
 
 def _free(plant: Plant, known: Mapping[str, float], x_star: Mapping[sp.Symbol, sp.Expr]) -> Truth:

@@ -14,7 +14,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
 import sympy as sp
 
 from necc_casadi.certificate.claims.certificate import Certificate
@@ -51,7 +50,6 @@ from necc_casadi.synthesis.options import Options
 
 if TYPE_CHECKING:  # what --check does not need is loaded when it is reached
     from necc_casadi.choice.choose import Choice
-    from necc_casadi.choice.judged import Judged
     from necc_casadi.export.sampled_loop import SampledLoop
     from necc_casadi.performance.measure import Performance
     from necc_casadi.simulation.responses import Trajectory
@@ -66,10 +64,6 @@ REPORT = "report.html"
 
 #: Structures of one method that are designed for, to keep the one that responds best.
 _STRUCTURES = 2
-
-
-#: Multiple of LQR's cost up to which the first one will do.
-_CHEAP = 2.0
 
 
 _RESPONSES = 10
@@ -283,40 +277,12 @@ def _chosen(task: _Task, clock: Clock) -> tuple[Choice, _Task]:
 
     The task that comes back names the structure that is kept.
     """
-    from necc_casadi.choice.choose import choose
+    from necc_casadi.choice.structures import best_structure
 
-    made: list[tuple[Choice, Method]] = []
-    for method in (task.method, *task.found.alternatives):
-        if made and _is_good(made[0][0].kept):
-            break
-        choice = choose(
-            method.loop, method.casimirs, method.verdict, task.x_star, task.options, clock.say
-        )
-        made.append((choice, method))
-        for stage, seconds in choice.seconds.items():
-            clock.timings[stage] = clock.timings.get(stage, 0.0) + seconds
-    choice, method = max(made, key=lambda pair: _fitness(pair[0].kept))
+    methods = (task.method, *task.found.alternatives)
+    choice, method, seconds = best_structure(methods, task.x_star, task.options, clock.say)
+    clock.timings.update(seconds)
     return choice, replace(task, found=replace(task.found, chosen=method))
-
-
-def _is_good(kept: Judged) -> bool:
-    """Whether another structure need not be tried."""
-    from necc_casadi.choice.fitness import response_faults
-
-    cheap = kept.cost_to_lqr is not None and kept.cost_to_lqr <= _CHEAP
-    return cheap and kept.proved and not response_faults(kept)
-
-
-def _fitness(kept: Judged) -> tuple[bool, int, float]:
-    """What is proved, how many starts arrive, and what they cost: the more the better."""
-    from necc_casadi.choice.fitness import response_faults
-
-    cost = kept.cost_to_lqr
-    return (
-        kept.proved and not response_faults(kept),
-        kept.arrivals,
-        -np.inf if cost is None else -cost,
-    )
 
 
 @dataclass(frozen=True, eq=False)

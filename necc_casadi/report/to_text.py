@@ -224,10 +224,19 @@ def _outcome(found: Findings) -> str:
     short = [*found.faults, *(() if proved and found.faults else ("not every claim is proved",))]
     return {
         "assignable": "the target is assignable",
-        "refused": "refused, with proof",
+        "refused": _refusal(found),
         "undecided": "undecided",
         "fell_short": "; ".join([f"fell short: {short[0]}", *short[1:], *found.warnings]),
     }[found.status]
+
+
+def _refusal(found: Findings) -> str:
+    """What of a refusal is proved."""
+    published, refusals = found.found.published, found.found.refusals
+    nowhere = published is not None and published.verdict.reason == "not_an_equilibrium"
+    if nowhere or all(refusal.proved for refusal in refusals):
+        return "refused, with proof"
+    return "the published loop is refused, with proof; no other that holds the target was found"
 
 
 def _compared_rows(performance: Performance, plant: System) -> list[tuple[str, str]]:

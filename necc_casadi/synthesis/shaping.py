@@ -31,6 +31,7 @@ Kelley (1960), The cutting-plane method for solving convex programs.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import TypeVar
@@ -105,7 +106,7 @@ _INNER, _RAYS, _BOUNDARY = 256, {1: 96, 2: 192, 3: 256}, 128
 
 
 @dataclass(frozen=True, eq=False)
-class Shaping:
+class Shaping(ABC):
     """Samples and objective, as elementwise functions of rows u = A m + b in moving weights m."""
 
     size: Vector  # (n + nc,) natural size of each state
@@ -113,23 +114,23 @@ class Shaping:
     has_level = False  # whether the level c is a decision variable
 
     @property
+    @abstractmethod
     def count(self) -> int:
         """Number of rows u."""
-        raise NotImplementedError
 
+    @abstractmethod
     def rows(
         self, terms: Terms, form: Form, weights: Vector, z_star: Vector
     ) -> tuple[Vector, Vector]:
         """(A, b) with u = A m + b, other weights fixed: (count, moving) and (count,)."""
-        raise NotImplementedError
 
+    @abstractmethod
     def objective(self, u: ca.SX, c: ca.SX) -> ca.SX:
         """The weighted objective, a sum of functions of uᵢ and one of c."""
-        raise NotImplementedError
 
+    @abstractmethod
     def margins(self, u: ca.SX, c: ca.SX) -> ca.SX:
         """What must not be negative."""
-        raise NotImplementedError
 
     def _sampled(
         self, terms: Terms, form: Form, weights: Vector, z_star: Vector
