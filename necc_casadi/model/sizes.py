@@ -197,7 +197,8 @@ def _behind_feedback(
     curvature = _numbers(at(sp.hessian(plant.H, plant.x), x_star)) * np.outer(state, state)
     speeds = np.abs(np.linalg.eigvals(rates)).astype(np.float64)
     times = [1 / rate for rate in _significant(speeds)]
-    energy = geometric_mean(_significant(np.linalg.eigvalsh(curvature))) or found.energy
+    bends = np.linalg.eigvalsh(curvature).astype(np.float64)
+    energy = geometric_mean(_significant(bends)) or found.energy
     slopes = _slopes(loop, casimirs, x_star, xi)
     known = _given(loop)
     inner = _controller_sizes(loop, known, slopes, state, energy, inputs, xi)
