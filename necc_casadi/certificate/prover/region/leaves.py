@@ -182,19 +182,17 @@ def _border_faces(leaves: Leaves, marked: Truth) -> Iterator[tuple[Indices, Inte
 
 def _component(boxes: Interval, open_: Truth, s_bar: Interval) -> Truth:
     """Open cells that are connected with those that meet the box of s̄; cells that touch are."""
-    from scipy.sparse import coo_matrix  # slow to import, and not every proof needs it
-    from scipy.sparse.csgraph import connected_components
-
-    home: Truth = np.asarray(((boxes.lo <= s_bar.hi) & (boxes.hi >= s_bar.lo)).all(1), bool)
-    rows = np.flatnonzero(open_)
-    marked = np.zeros(len(open_), dtype=bool)
-    if not (home & open_).any():
+    home = ((boxes.lo <= s_bar.hi) & (boxes.hi >= s_bar.lo)).all(1)
+    marked: Truth = np.asarray(home & open_)
+    if not marked.any():
         return marked
-    first, second = _touching(boxes[rows])
-    edges = coo_matrix((np.ones(len(first), dtype=bool), (first, second)), (len(rows),) * 2)
-    _, labels = connected_components(edges, directed=False)
-    marked[rows] = np.isin(labels, labels[home[rows]])
-    return marked
+    rows = np.flatnonzero(open_)
+    first, second = (rows[ends] for ends in _touching(boxes[rows]))
+    while True:
+        reached = second[marked[first] & ~marked[second]]
+        if not reached.size:
+            return marked
+        marked[reached] = True
 
 
 def _touching(boxes: Interval) -> tuple[Indices, Indices]:
