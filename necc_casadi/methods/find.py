@@ -6,14 +6,16 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
+import numpy as np
 import sympy as sp
 
+from necc_casadi.arrays import Vector
 from necc_casadi.cases import MethodName, MethodWord
 from necc_casadi.casimirs.condition import is_casimir
 from necc_casadi.casimirs.find import find_casimirs
 from necc_casadi.methods.ahead import plant_with_feedback
 from necc_casadi.methods.constant import constant_structure
-from necc_casadi.methods.linear_target import Weigh
+from necc_casadi.methods.linear_target import Weigh, linear_target
 from necc_casadi.methods.mechanical import mechanical_structures
 from necc_casadi.methods.method import Method, Refusal
 from necc_casadi.methods.modulated import at_its_minimum, shifted_plant
@@ -25,6 +27,7 @@ from necc_casadi.model.cost import bryson
 from necc_casadi.model.model_file import Model
 from necc_casadi.model.modulated import Modulated, System
 from necc_casadi.model.plant import Plant
+from necc_casadi.model.sizes import natural_sizes
 from necc_casadi.symbolic.zero import Undecided
 from necc_casadi.verdict.judge import judge
 
@@ -230,6 +233,7 @@ class _Question:
             system.x,
             self.x_star,
             sizes=self._sizes,
+            cheap=self._cheap_gains,
             name=system.name,
             units=system.units,
             domain=system.domain,
@@ -242,6 +246,19 @@ class _Question:
         if isinstance(answer, Refusal):
             answer = at_its_minimum(plant, self.x_star) or answer
         yield replace(answer, name="constant")
+
+    @property
+    def _cheap_gains(self) -> Vector | None:
+        """Gains of LQR in the units of the model; None where the plant's sizes are not known."""
+        if not isinstance(self.system, Plant):
+            return None
+        loop = interconnect(self.system, default_controller(self.system))
+        sizes = natural_sizes(loop, (), self.x_star)
+        target = linear_target(self.system, self.x_star, sizes, self.weigh)
+        if target is None:
+            return None
+        units, n = sizes.units, self.system.n
+        return np.asarray(target.best.K * units.input[:, None] / units.state[:n], float)
 
     @property
     def _sizes(self) -> dict[sp.Symbol, float] | None:
