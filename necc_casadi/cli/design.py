@@ -109,8 +109,8 @@ __all__ = ["design_command"]
 @form_option(
     "--learn-casimir",
     is_flag=True,
-    help="Where closed forms are missing: a network C(z) that is a Casimir approximately. "
-    "Nothing is certified from it.",
+    help="Where closed forms of the published loop are missing: a network C(z) that is a Casimir "
+    "approximately. Nothing is certified from it.",
 )
 @form_option(
     "--phi",

@@ -195,6 +195,25 @@ def _with_response(options: Options, request: Request, m: int) -> Options:
     return replace(options, rate=rate, peak_u=peak, least_cost=cost)
 
 
+def read_method(request: Request, options: Options) -> MethodWord:
+    """The methods that are asked; a Casimir is learned for the published loop alone.
+
+    Raises
+    ------
+    OptionError
+        Another method is asked for beside --learn-casimir.
+    """
+    if not options.learn_casimir:
+        return request.method
+    if request.method not in ("auto", "interconnection"):
+        raise OptionError(
+            "usage",
+            f"--learn-casimir is about the published loop, --method {request.method} is another",
+            "Leave one of them out.",
+        )
+    return "interconnection"
+
+
 def _peak(values: tuple[float, ...], m: int) -> Vector:
     if len(values) not in (1, m) or not all(0 < value < np.inf for value in values):
         shown = ",".join(f"{value:g}" for value in values)
