@@ -215,9 +215,9 @@ def _design(model: Path, **options: Any) -> int:
 
     MODEL is a Python file that defines x, J, R, G and H with sympy. It is run as your own code.
 
-    --settle, --rate, --peak-u and --compare design for the least quadratic cost. Its weights are
-    state_cost and input_cost of MODEL, by default 1/size² of every state and input; a model that
-    has them is designed so, too.
+    --settle, --rate and --peak-u design for the least quadratic cost. Its weights are state_cost
+    and input_cost of MODEL, by default 1/size² of every state and input; a model that has them is
+    designed so, too. --compare measures the design that is made, whatever was asked.
 
     \b
     Examples:

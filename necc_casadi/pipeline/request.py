@@ -191,8 +191,7 @@ def _with_response(options: Options, request: Request, m: int) -> Options:
         )
     rate = request.rate if request.settle is None else _SETTLED / request.settle
     peak = None if request.peak_u is None else _peak(request.peak_u, m)
-    cost = options.least_cost or (request.compare and not request.paper)
-    return replace(options, rate=rate, peak_u=peak, least_cost=cost)
+    return replace(options, rate=rate, peak_u=peak)
 
 
 def read_method(request: Request, options: Options) -> MethodWord:
