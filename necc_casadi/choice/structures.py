@@ -17,7 +17,7 @@ __all__ = ["best_structure"]
 
 
 #: Multiple of LQR's cost up to which a structure will do, and the next one is not tried.
-_CHEAP = 2.0
+_CHEAP = 4.0
 
 
 def best_structure(

@@ -79,6 +79,7 @@ class _Question:
     x: tuple[sp.Symbol, ...]
     x_star: Mapping[sp.Symbol, sp.Expr]
     sizes: tuple[sp.Rational, ...]  # (n,) powers of two
+    cheap: Vector | None = None  # (m, n) gains of LQR, in the units of the model
 
     @property
     def T(self) -> sp.Matrix:
@@ -108,6 +109,21 @@ class _Question:
         """∂s/∂x at x*."""
         return sp.Matrix(at(self.slopes, self.x_star))
 
+    @property
+    def inputs(self) -> Vector:
+        """G, in natural units, its columns scaled to 1."""
+        G = float_matrix(self.T.inv() * self.G)
+        return np.asarray(G / np.linalg.norm(G, axis=0), float)
+
+    @cached_property
+    def cheap_loop(self) -> Vector | None:
+        """A − GK of LQR, in natural units."""
+        if self.cheap is None:
+            return None
+        size = np.diag(float_matrix(self.T))
+        A = float_matrix(at(self.f.jacobian(self.x), self.x_star))
+        return np.asarray((A - float_matrix(self.G) @ self.cheap) * size / size[:, None], float)
+
     @cached_property
     def rate(self) -> float:
         """The fastest rate of the linearised plant, in natural units."""
@@ -129,6 +145,7 @@ def constant_structure(
     x_star: Mapping[sp.Symbol, sp.Expr],
     *,
     sizes: Mapping[sp.Symbol, float] | None = None,
+    cheap: Vector | None = None,
     name: str = "plant",
     units: Mapping[str, str] | None = None,
     domain: Mapping[str, tuple[sp.Expr, sp.Expr]] | None = None,
@@ -146,6 +163,9 @@ def constant_structure(
     sizes
         What a large value of each state is; by default a quarter of its domain, and where there is
         none, sizes with which the linearised plant moves all states alike.
+    cheap
+        Gains K (m, n) of LQR at x*: where the family has a structure in which u₀ has the slopes
+        −K, such a one is taken.
     name, units, domain
         Of the plant, for the structure.
 
@@ -168,7 +188,7 @@ def constant_structure(
     if not all(1 / _FARTHEST < size < _FARTHEST for size in chosen):
         reason = "the sizes of the states are too far from 1 for floating point"
         return NoStructure(_FAMILY, reason, False)
-    question = _Question(f, G, tuple(x), x_star, chosen)
+    question = _Question(f, G, tuple(x), x_star, chosen, cheap)
     try:
         return _structure(question, A, name, units or {}, domain or {})
     except Undecided as unknown:
@@ -202,11 +222,11 @@ def _structure(
         reason = "it is not tried, because a combination of states may stay whatever the inputs do"
         return NoStructure(_FAMILY, reason, False)
     reason = "none was found"
-    for roundings in _candidates(question):
-        B = next((B for B in roundings if question.proved(B)), None)
-        if B is None:
+    for proposals in _candidates(question):
+        proposal = next((p for p in proposals if question.proved(p.B)), None)
+        if proposal is None:
             continue
-        matching = _matching(question, B, name, units, domain)
+        matching = _matching(question, proposal, name, units, domain)
         if isinstance(matching, Matching):
             return matching
         reason = matching
@@ -215,10 +235,20 @@ def _structure(
     return NoStructure(_FAMILY, reason, False)
 
 
-def _candidates(question: _Question) -> Iterator[Iterator[sp.Matrix]]:
+@dataclass(frozen=True, eq=False)
+class _Proposal:
+    """B, exact, and what it was made with, in natural units."""
+
+    B: sp.Matrix
+    P: Vector | None = None  # (n, n) ∇²H₀(x*)⁻¹; None: any
+    F: Vector | None = None  # (n, n) F_d; None: any
+
+
+def _candidates(question: _Question) -> Iterator[Iterator[_Proposal]]:
     """For each proposal its roundings B, which satisfy (i)."""
     if question.annihilator.rows == 1:
-        yield from _single_rows(question)
+        for roundings in _single_rows(question):
+            yield map(_Proposal, roundings)
         return
     family = [
         B / _power_of_two(float(np.abs(float_matrix(B * question.T.inv())).max()))
@@ -226,17 +256,32 @@ def _candidates(question: _Question) -> Iterator[Iterator[sp.Matrix]]:
     ]
     if not family:
         return
+    if question.cheap_loop is not None:
+        for margin in _MARGINS:
+            found = _well_conditioned(question, family, margin, question.cheap_loop)
+            if found is not None:
+                weights, P = found
+                yield _cheap_proposals(family, weights, P / question.rate, question.cheap_loop)
+                break
     for margin in _MARGINS:
-        weights = _well_conditioned(question, family, margin)
-        if weights is None:
-            continue
-        yield (combined(family, rounded) for rounded in _roundings(weights))
+        found = _well_conditioned(question, family, margin)
+        if found is not None:
+            yield (_Proposal(combined(family, w)) for w in _roundings(found[0]))
 
 
-def _roundings(values: Vector) -> Iterator[list[sp.Expr]]:
+def _cheap_proposals(
+    family: Sequence[sp.Matrix], weights: Vector, P: Vector, closed: Vector
+) -> Iterator[_Proposal]:
+    """Proposals with F_d = (A − GK)P, so that F_d ∇²H₀ = A − GK."""
+    scale = np.abs(weights).max()
+    for rounded in _roundings(weights, 1):
+        yield _Proposal(combined(family, rounded), P / scale, closed @ P / scale)
+
+
+def _roundings(values: Vector, first: int = 0) -> Iterator[list[sp.Expr]]:
     """The values, up to a common factor, to more and more digits."""
     scaled = values / np.abs(values).max()
-    for digits in _DIGITS:
+    for digits in _DIGITS[first:]:
         yield [rational(float(v), 10**digits) for v in scaled]
 
 
@@ -282,9 +327,15 @@ def _symmetric_family(question: _Question) -> list[sp.Matrix]:
 
 
 def _well_conditioned(
-    question: _Question, family: Sequence[sp.Matrix], margin: float
-) -> Vector | None:
-    """Weights of the family with B = G⊥AP, I ⪯ P ⪯ κI and the least κ, in natural units."""
+    question: _Question,
+    family: Sequence[sp.Matrix],
+    margin: float,
+    closed: Vector | None = None,
+) -> tuple[Vector, Vector] | None:
+    """Weights of the family with B = G⊥AP, I ⪯ P ⪯ κI and the least κ, in natural units, and P.
+
+    With a loop ẋ = closed·x of the linearised plant, P⁻¹ is to be a Lyapunov function of it too.
+    """
     size = np.diag(float_matrix(question.T))
     row = float_matrix(question.annihilator * question.T)
     slope = float_matrix(question.slopes_there * question.T) / question.rate
@@ -307,35 +358,39 @@ def _well_conditioned(
             entry[:count] = members[:, i, j]
             entry -= np.einsum("k,wk->w", slope[i], P[:, :, j])
             equations.append((entry, 0.0))
-    program = SemidefiniteProgram(
-        cost=np.eye(width)[-1],
-        inequalities=[
-            (-np.eye(n), P),
-            (np.zeros((n, n)), top - P),
-            (-margin * np.diag(np.array(free, float)), losing),
-        ],
-        equations=equations,
-    )
-    found = program.solution()
-    return None if found is None else found[:count]
+    inequalities = [
+        (-np.eye(n), P),
+        (np.zeros((n, n)), top - P),
+        (-margin * np.diag(np.array(free, float)), losing),
+    ]
+    if closed is not None:
+        frame = np.hstack([row.T, question.inputs])
+        falling = -frame.T @ (closed @ P + P @ closed.T) @ frame / question.rate
+        kept = np.array([*np.flatnonzero(free), *range(r, n)])
+        inequalities.append((-margin * np.eye(len(kept)), falling[:, kept][:, :, kept]))
+        lossless = [i for i in range(r) if not free[i]]
+        equations += [(falling[:, i, j], 0.0) for i in lossless for j in range(r, n)]
+    found = SemidefiniteProgram(np.eye(width)[-1], inequalities, equations).solution()
+    return None if found is None else (found[:count], np.einsum("k,kij->ij", found, P))
 
 
 def _matching(
     question: _Question,
-    B: sp.Matrix,
+    proposal: _Proposal,
     name: str,
     units: Mapping[str, str],
     domain: Mapping[str, tuple[sp.Expr, sp.Expr]],
 ) -> Matching | str:
     """The structure of a proved B, or why it could not be written down."""
+    B = proposal.B
     energy = _energy(question, B)
     if energy is None:
         return "B∇H₀ = s has no closed form that was found"
     N = _of_one_size(kernel(B))
-    H = _with_minimum(question, B, N, energy)
+    H = _with_minimum(question, B, N, energy, proposal.P)
     if H is None:
         return "∇²H₀ is not proved to be positive definite"
-    F, G = _completed(question, B), question.G
+    F, G = _completed(question, B, proposal.F), question.G
     inverse = (G.T * G).inv() * G.T
     u0 = inverse * (F * sp.Matrix(gradient(H, question.x)) - question.f)
     alpha = -inverse * F * N
@@ -444,11 +499,12 @@ def _of_linear_argument(f: sp.Expr, s: sp.Symbol) -> sp.Expr | None:
 
 
 def _with_minimum(
-    question: _Question, B: sp.Matrix, N: sp.Matrix, energy: sp.Expr
+    question: _Question, B: sp.Matrix, N: sp.Matrix, energy: sp.Expr, P: Vector | None
 ) -> sp.Expr | None:
     """H₀ with ∇H₀(x*) = 0 and ∇²H₀(x*) ≻ 0: what depends on Nᵀx is free, since BN = 0.
 
-    In natural units, with Q = ∇²H₀, the free block is NᵀQN = CᵀS⁻¹C + σNᵀN, C = BQN.
+    In natural units, with Q = ∇²H₀, the free block is NᵀQN = CᵀS⁻¹C + σNᵀN, C = BQN, or with the
+    Schur complement of P⁻¹ in place of σNᵀN.
     """
     x_star, x = question.x_star, question.x
     slope = N.T * sp.Matrix(at(gradient(energy, x), x_star))
@@ -463,8 +519,12 @@ def _with_minimum(
         float_matrix(N) * size[:, None],
     )
     S, C, squares = rows @ Q @ rows.T, rows @ Q @ free, free.T @ free
-    sigma = np.trace(S) / np.trace(rows @ rows.T)
-    wanted = C.T @ np.linalg.solve(S, C) + sigma * squares - free.T @ Q @ free
+    sigma, r = np.trace(S) / np.trace(rows @ rows.T), len(rows)
+    beyond = sigma * squares
+    if P is not None:  # the Schur complement of its inverse
+        frame = np.hstack([rows.T, free])
+        beyond = np.linalg.inv(np.linalg.inv(frame.T @ np.linalg.solve(P, frame))[r:, r:])
+    wanted = C.T @ np.linalg.solve(S, C) + beyond - free.T @ Q @ free
     theta = np.linalg.solve(squares, np.linalg.solve(squares, wanted).T)
     scale = float(np.abs(theta).max()) or 1.0
     if not np.isfinite(scale):
@@ -472,7 +532,7 @@ def _with_minimum(
     unit = _power_of_two(scale)
     shares = (theta + theta.T) / (2 * to_float(unit))
     for digits in _DIGITS:
-        exact = unit * sp.Matrix([[rational(float(v), 10**digits) for v in row] for row in shares])
+        exact = unit * _rounded(shares, digits)
         if definiteness(Q0 + N * exact * N.T)[0] == "positive":
             return _gathered(energy + (away.T * exact * away)[0] / 2, x)
     return None
@@ -493,16 +553,38 @@ def _gathered(H: sp.Expr, x: Sequence[sp.Symbol]) -> sp.Expr:
     return total.xreplace({name: e for e, name in names.items()})
 
 
-def _completed(question: _Question, B: sp.Matrix) -> sp.Matrix:
-    """F_d with G⊥F_d = B, a skew coupling, and dissipation on the actuated directions."""
+def _completed(question: _Question, B: sp.Matrix, like: Vector | None) -> sp.Matrix:
+    """F_d with G⊥F_d = B: near the one of a proposal, where that is proved to be dissipative.
+
+    Else with a skew coupling, and dissipation on the actuated directions.
+    """
     T, Ti = question.T, question.T.inv()
     row, G, sized = question.annihilator * T, Ti * question.G, B * Ti
-    squares = G.T * G
-    rate = _power_of_two(float(np.abs(float_matrix(sized)).max()))
     frame = sp.Matrix.vstack(row, G.T).inv()
     upper = (sized * row.T).row_join(sized * G)
-    lower = (-(sized * G).T).row_join(-rate * squares)
-    return T * frame * upper.col_join(lower) * frame.T * T
+
+    def with_rows(lower: sp.Matrix) -> sp.Matrix:
+        return T * frame * upper.col_join(lower) * frame.T * T
+
+    if like is not None:
+        inputs = float_matrix(G)
+        wanted = inputs.T @ like @ np.hstack([float_matrix(row).T, inputs])
+        unit = _power_of_two(float(np.abs(wanted).max()))
+        skew, losses = -(sized * G).T, dissipation(B, question.annihilator)
+        for digits in _DIGITS[1:]:
+            lower = unit * _rounded(wanted / to_float(unit), digits)
+            for i in range(row.rows):
+                if losses[i, i] == 0:  # then nothing stands beside it in −(F + Fᵀ) ⪰ 0
+                    lower[:, i] = skew[:, i]
+            F = with_rows(lower)
+            if definiteness(-(F + F.T))[0] in ("positive", "flat"):
+                return F
+    rate = _power_of_two(float(np.abs(float_matrix(sized)).max()))
+    return with_rows((-(sized * G).T).row_join(-rate * G.T * G))
+
+
+def _rounded(values: Vector, digits: int) -> sp.Matrix:
+    return sp.Matrix([[rational(float(v), 10**digits) for v in row] for row in values])
 
 
 def _sizes(

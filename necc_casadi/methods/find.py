@@ -6,13 +6,16 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
+import numpy as np
 import sympy as sp
 
+from necc_casadi.arrays import Vector
 from necc_casadi.cases import MethodName, MethodWord
 from necc_casadi.casimirs.condition import is_casimir
 from necc_casadi.casimirs.find import find_casimirs
 from necc_casadi.methods.ahead import plant_with_feedback
 from necc_casadi.methods.constant import constant_structure
+from necc_casadi.methods.linear_target import Weigh, linear_target
 from necc_casadi.methods.mechanical import mechanical_structures
 from necc_casadi.methods.method import Method, Refusal
 from necc_casadi.methods.modulated import at_its_minimum, shifted_plant
@@ -20,9 +23,11 @@ from necc_casadi.methods.no_structure import NoStructure
 from necc_casadi.methods.shaping import power_shaping
 from necc_casadi.model.closed_loop import interconnect
 from necc_casadi.model.controller import default_controller
+from necc_casadi.model.cost import bryson
 from necc_casadi.model.model_file import Model
 from necc_casadi.model.modulated import Modulated, System
 from necc_casadi.model.plant import Plant
+from necc_casadi.model.sizes import natural_sizes
 from necc_casadi.symbolic.zero import Undecided
 from necc_casadi.verdict.judge import judge
 
@@ -69,6 +74,7 @@ def find_method(
     wanted: MethodWord = "auto",
     say: Callable[[str], None] = lambda _: None,
     most: int = 1,
+    weigh: Weigh = bryson,
 ) -> Found:
     """The loop that holds a target.
 
@@ -84,13 +90,15 @@ def find_method(
         Called with what is done next.
     most
         Structures of the method that holds the target, of which the best response is to be kept.
+    weigh
+        What responses cost: it chooses the numbers that a structure leaves free.
     """
     system = model.system
     published = _published(model, x_star, say) if isinstance(system, Plant) else None
     asked = published is not None and wanted in ("auto", "interconnection")
     if published is not None and asked and published.verdict.assignable:
         return Found(published, published)
-    question = _Question(system, x_star, wanted, say)
+    question = _Question(system, x_star, wanted, say, weigh)
     if isinstance(system, Modulated):
         published = question.shifted_loop
     refusals: list[Refusal] = []
@@ -148,6 +156,7 @@ class _Question:
     x_star: Mapping[sp.Symbol, sp.Expr]
     wanted: MethodWord
     say: Callable[[str], None]
+    weigh: Weigh
 
     def families(self) -> Iterator[Iterator[Method | Refusal]]:
         """What each method other than the published loop says, in order."""
@@ -200,7 +209,7 @@ class _Question:
         if not isinstance(self.system, Plant):
             return
         self.say("looking for a mechanical target structure")
-        for found in mechanical_structures(self.system, self.x_star):
+        for found in mechanical_structures(self.system, self.x_star, self.weigh):
             if isinstance(found, NoStructure):
                 yield Refusal("mechanical", found.reason, found.proved)
                 continue
@@ -224,6 +233,7 @@ class _Question:
             system.x,
             self.x_star,
             sizes=self._sizes,
+            cheap=self._cheap_gains,
             name=system.name,
             units=system.units,
             domain=system.domain,
@@ -236,6 +246,19 @@ class _Question:
         if isinstance(answer, Refusal):
             answer = at_its_minimum(plant, self.x_star) or answer
         yield replace(answer, name="constant")
+
+    @property
+    def _cheap_gains(self) -> Vector | None:
+        """Gains of LQR in the units of the model; None where the plant's sizes are not known."""
+        if not isinstance(self.system, Plant):
+            return None
+        loop = interconnect(self.system, default_controller(self.system))
+        sizes = natural_sizes(loop, (), self.x_star)
+        target = linear_target(self.system, self.x_star, sizes, self.weigh)
+        if target is None:
+            return None
+        units, n = sizes.units, self.system.n
+        return np.asarray(target.best.K * units.input[:, None] / units.state[:n], float)
 
     @property
     def _sizes(self) -> dict[sp.Symbol, float] | None:

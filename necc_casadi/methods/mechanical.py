@@ -10,8 +10,9 @@ and with b = M_d g⊥ᵀ the plant matches it where
     potential   b·∇V_d = s,   with minimum at q* if b·∇s(q*) > 0
 
 Three choices of b that quadratures integrate: M_d constant where Γ = 0, b a function of q_r alone,
-and b with constant entries off q_r. The structure is then written in the plant's own states
-(q, p), p = M(q)v: F_d becomes T F_d Tᵀ with T = ∂(q, p)/∂(q, v).
+and b with constant entries off q_r. What they leave free is chosen by the cost of the linearised
+loop (:mod:`necc_casadi.methods.mechanical_response`). The structure is then written in the plant's
+own states (q, p), p = M(q)v: F_d becomes T F_d Tᵀ with T = ∂(q, p)/∂(q, v).
 
 With b·∇γ = 0 the functions ξ − γ(q) are Casimirs of the published loop.
 
@@ -24,18 +25,23 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import combinations, combinations_with_replacement
 
+import numpy as np
 import sympy as sp
 
 from necc_casadi.errors import ModelError
+from necc_casadi.methods.linear_target import Weigh
 from necc_casadi.methods.mechanical_model import FreeRow, MechanicalModel, mechanical_model, short
+from necc_casadi.methods.mechanical_response import MechanicalResponse, mechanical_response
 from necc_casadi.methods.no_structure import NoStructure
 from necc_casadi.model.control_affine import Preliminary
+from necc_casadi.model.cost import bryson
 from necc_casadi.model.matching import Matching
 from necc_casadi.model.plant import Plant, make_plant
-from necc_casadi.symbolic.derivatives import gradient, value_at
-from necc_casadi.symbolic.floats import to_float
+from necc_casadi.symbolic.derivatives import at, gradient, value_at
+from necc_casadi.symbolic.floats import float_matrix, to_float
 from necc_casadi.symbolic.quadrature import quadrature
 from necc_casadi.symbolic.zero import Undecided, is_zero, sign
 
@@ -45,8 +51,11 @@ __all__ = ["mechanical_structures"]
 #: With b_r = m − μ cos q_r and m : μ = 7 : 25 the roots in the quadratures are rational.
 _OWN, _COUPLED, _OTHER = sp.Rational(7, 25), sp.Integer(1), sp.Integer(4)
 
-#: The largest power of a cosine by which β falls off.
-_MOST_POWER = 16
+#: The largest power of a cosine by which β falls off, and how many of them are compared by cost.
+_MOST_POWER, _TRIED = 16, 5
+
+#: Costs below this multiple of LQR's are alike.
+_ALIKE = 1.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,6 +65,12 @@ class _Question:
     model: MechanicalModel
     row: FreeRow
     x_star: Mapping[sp.Symbol, sp.Expr]
+    weigh: Weigh
+
+    @cached_property
+    def response(self) -> MechanicalResponse | None:
+        """What numbers of a structure cost; None where that is not known."""
+        return mechanical_response(self.model, self.row, self.x_star, self.weigh)
 
     @property
     def q_r(self) -> sp.Symbol:
@@ -111,12 +126,14 @@ class _Shape:
 
 
 def mechanical_structures(
-    plant: Plant, x_star: Mapping[sp.Symbol, sp.Expr]
+    plant: Plant, x_star: Mapping[sp.Symbol, sp.Expr], weigh: Weigh = bryson
 ) -> Iterator[Matching | NoStructure]:
     """Mechanical target structures of `plant` with a minimum of H₀'s potential at x*.
 
-    They come in the order in which they suit a proof: constant M_d first. A family that gives
-    none says why. Every matching is proved.
+    Constant M_d comes first where g⊥ is constant; where it is not, V_d has a pole at an angle that
+    M_d of one coordinate does not have. Numbers that the matching equations leave free are those
+    of the least cost of the linearised loop. A family that gives none says why. Every matching is
+    proved.
 
     Parameters
     ----------
@@ -124,6 +141,8 @@ def mechanical_structures(
         Any plant; what is not mechanical with one unactuated direction has no structure here.
     x_star
         Exact value of every state.
+    weigh
+        What responses cost, from the sizes of the plant.
 
     Yields
     ------
@@ -133,7 +152,7 @@ def mechanical_structures(
         For each family without one.
     """
     try:
-        yield from _structures(plant, x_star)
+        yield from _structures(plant, x_star, weigh)
     except Undecided as unknown:
         reason = f"no proof was found whether {unknown} is zero"
         yield NoStructure("mechanical", reason, False)
@@ -142,19 +161,20 @@ def mechanical_structures(
 
 
 def _structures(
-    plant: Plant, x_star: Mapping[sp.Symbol, sp.Expr]
+    plant: Plant, x_star: Mapping[sp.Symbol, sp.Expr], weigh: Weigh
 ) -> Iterator[Matching | NoStructure]:
     """What each family gives, or what stands against all of them."""
     model = mechanical_model(plant)
     if isinstance(model, str):
         yield NoStructure("mechanical", f"it is not tried, because {model}", False)
         return
-    questions = [_Question(model, row, x_star) for row in model.free_rows(x_star)]
+    questions = [_Question(model, row, x_star, weigh) for row in model.free_rows(x_star)]
     obstacle = _obstacle(questions, x_star)
     if obstacle is not None:
         yield obstacle
         return
-    for family, build in _FAMILIES.items():
+    steady = all(not question.row.g_perp.free_symbols for question in questions)
+    for family, build in sorted(_FAMILIES.items(), key=lambda f: steady and f[0] != _STEADY):
         missing = NoStructure(
             family, "no row without an input has the form that it integrates", False
         )
@@ -230,12 +250,56 @@ def _of_friction(question: _Question) -> NoStructure:
 
 def _constant_inertia(question: _Question) -> _Shape | str | None:
     """M_d constant: needs Γ = 0, and s and g⊥ of q_r alone."""
-    row, r = question.row, question.row.r
+    row = question.row
     if not question.of_one_coordinate or not row.gamma.is_zero_matrix:
         return None
     slope = question.slope
     if slope not in (1, -1):
         return f"the force on {question.q_r} has no slope at the target"
+    chosen = None if row.g_perp.free_symbols else _least_direction(question)
+    if chosen is not None and sign((row.g_perp * chosen[0])[0]) == slope:
+        return _along(question, chosen[0], slope * question.unit, chosen[1])
+    M_d = _usual_inertia(question, slope)
+    return _integrated(question, M_d, M_d.inv(), M_d * sp.Matrix(row.g_perp.T))
+
+
+def _least_direction(question: _Question) -> tuple[sp.Matrix, list[sp.Expr]] | None:
+    """K = b/bᵣ of the least cost, in three digits, and the sizes of the other coordinates."""
+    response, r = question.response, question.row.r
+    best = None if response is None else response.best
+    if response is None or best is None:
+        return None
+    units = response.units / response.units[r]
+    K = sp.Matrix(
+        [
+            _near(sp.Float(v)) * sp.Rational(u)
+            for v, u in zip(best[0] / best[0][r], units, strict=True)
+        ]
+    )
+    priced = _priced(question, response, K)
+    return None if priced is None else (K, priced[1])
+
+
+def _priced(
+    question: _Question, response: MechanicalResponse, K: sp.Matrix
+) -> tuple[float, list[sp.Expr]] | None:
+    """The cost that K(q*) allows, and the sizes of the other coordinates with which it does."""
+    units = response.units / response.units[question.row.r]
+    b = float_matrix(at(K, question.x_star)).ravel() / units * np.sign(response.slope)
+    found = response.best_beside(b)
+    if found is None:
+        return None
+    squares = units[list(question.others)] ** 2
+    sizes = [
+        _near(sp.Float(share)) * sp.Rational(square)
+        for share, square in zip(found[0].tolist(), squares.tolist(), strict=True)
+    ]
+    return found[1], sizes
+
+
+def _usual_inertia(question: _Question, slope: int) -> sp.Matrix:
+    """M_d that couples q_r to the others as much as the row does."""
+    row, r = question.row, question.row.r
     coupled = [a for a in question.others if sign(question.at_target(row.g_perp[a])) in (1, -1)]
     M_d = sp.zeros(question.model.k)
     M_d[r, r] = _OWN
@@ -244,8 +308,7 @@ def _constant_inertia(question: _Question) -> _Shape | str | None:
     for a in coupled:
         towards = sp.sign(question.at_target(row.g_perp[a])) * slope
         M_d[r, a] = M_d[a, r] = towards * _COUPLED * question.size(a) / len(coupled)
-    M_d = question.unit * M_d
-    return _integrated(question, M_d, M_d.inv(), M_d * sp.Matrix(row.g_perp.T))
+    return question.unit * M_d
 
 
 def _one_coordinate(question: _Question) -> _Shape | str | None:
@@ -258,29 +321,54 @@ def _one_coordinate(question: _Question) -> _Shape | str | None:
         return f"it is made for targets at which the potential of {question.q_r} has a maximum"
     if not row.g_perp.free_symbols and row.gamma.is_zero_matrix:
         return "it is the one with constant M_d"
-    for kappa in _kappas(question, coupled):
-        K = _direction(question, coupled, kappa)
+    for K, sizes in _directions(question, coupled):
         ratio = question.integral(_rate(question, K))
         if ratio is None:
             continue
-        shape = _along(question, K, -question.unit * sp.exp(ratio))
+        shape = _along(question, K, -question.unit * sp.exp(ratio), sizes)
         if isinstance(shape, _Shape):
             return shape
     return "no quadrature in closed form was found"
 
 
-def _along(question: _Question, K: sp.Matrix, beta: sp.Expr) -> _Shape | str:
+def _directions(
+    question: _Question, coupled: Sequence[int]
+) -> Iterator[tuple[sp.Matrix, list[sp.Expr]]]:
+    """K and the sizes of the other coordinates, the least cost first where it is known.
+
+    Near the target a steeper β may cost less; far from it the slowest one does.
+    """
+    kappas = list(_kappas(question, coupled))
+    response = question.response
+    best = None if response is None else response.best
+    if response is None or best is None:
+        usual = [question.size(a) ** 2 for a in question.others]
+        yield from ((_direction(question, coupled, kappa), usual) for kappa in kappas)
+        return
+    compared: list[tuple[float, sp.Matrix, list[sp.Expr]]] = []
+    for kappa in kappas[:_TRIED]:
+        K = _direction(question, coupled, kappa)
+        priced = _priced(question, response, K)
+        if priced is not None:
+            compared.append((priced[0], K, priced[1]))
+    compared.sort(key=lambda entry: max(entry[0], _ALIKE))
+    yield from ((K, sizes) for _, K, sizes in compared)
+
+
+def _along(
+    question: _Question, K: sp.Matrix, beta: sp.Expr, sizes: Sequence[sp.Expr]
+) -> _Shape | str:
     """M_d = bbᵀ/(g⊥b) + gΛgᵀ with b = βK, and its inverse by the basis dual to (b, g)."""
     row, k = question.row, question.model.k
     e = sp.Matrix(row.g_perp).T
     mu = short((e.T * K)[0])
     M_d, inverse = beta / mu * K * K.T, e * e.T / (beta * mu)
-    for a in question.others:
+    for a, size in zip(question.others, sizes, strict=True):
         unit = sp.eye(k)[:, a]
         g = unit - e[a] * sp.eye(k)[:, row.r]
         dual = unit - K[a] / mu * e
-        size = question.unit * question.size(a) ** 2
-        M_d, inverse = M_d + size * g * g.T, inverse + dual * dual.T / size
+        share = question.unit * size
+        M_d, inverse = M_d + share * g * g.T, inverse + dual * dual.T / share
     return _integrated(question, M_d.applyfunc(short), inverse.applyfunc(short), beta * K)
 
 
@@ -363,9 +451,12 @@ def _integrated(
     return _Shape(M_d, inverse, V_d, tuple(gammas), slopes)
 
 
+#: The family that is tried first where g⊥ is constant.
+_STEADY = "constant M_d"
+
 _FAMILIES = {
-    "constant M_d": _constant_inertia,
     "M_d of one coordinate": _one_coordinate,
+    _STEADY: _constant_inertia,
     "M_d constant off one coordinate": _constant_off_r,
 }
 

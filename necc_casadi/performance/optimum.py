@@ -29,6 +29,7 @@ _DEGREE, _INTERVALS, _GRADED = 3, 60, 1.04
 
 _IPOPT = {
     "print_time": False,
+    "show_eval_warnings": False,  # where a step leaves the model's domain
     "ipopt.print_level": 0,
     "ipopt.sb": "yes",
     "ipopt.max_iter": 300,

@@ -12,7 +12,7 @@ from necc_casadi.arrays import Vector
 from necc_casadi.designs.design import Design
 from necc_casadi.lyapunov.opened_loop import plant_dynamics, plant_linearisation
 from necc_casadi.model.cost import QuadraticCost
-from necc_casadi.performance.lqr import Lqr, lqr
+from necc_casadi.model.lqr import Lqr, lqr
 
 __all__ = ["PlantModel", "plant_model"]
 

@@ -64,6 +64,26 @@ _MOST_STEPS, _FEW_STATES, _LEAST_STEP = 3000, 8, 1e-7
 _SAME, _NOTHING = 0.1, 0.01
 
 
+#: Slopes at most of all responses that are stiff, and the error of a step that they allow near 0.
+_MOST_CALLS, _STIFF = 40_000, 1e-8
+
+
+@dataclass
+class _Calls:
+    """How many slopes may still be asked for."""
+
+    left: int
+
+    class Spent(Exception):
+        """None."""
+
+    def count(self) -> None:
+        """One less."""
+        if self.left == 0:
+            raise _Calls.Spent
+        self.left -= 1
+
+
 @dataclass(frozen=True)
 class Elsewhere:
     """A place other than the target where starts come to rest."""
@@ -208,7 +228,7 @@ class _Follower:
         slope, asked = self._slopes(z)
         peak = np.abs(asked)
         exceeded = (asked < self.lo) | (asked > self.hi)
-        alive = np.flatnonzero(~arrived)
+        alive, stiff = np.flatnonzero(~arrived), np.zeros(count, bool)
         most = _MOST_STEPS * _FEW_STATES // max(_FEW_STATES, z.shape[1])
         take = stepper(self._field, np.append(self.target, 0.0), horizon / most)
         for _ in range(most):
@@ -235,13 +255,48 @@ class _Follower:
             still = t[alive] - quiet[alive] > _LONG * self.horizon
             resting[alive] = ~arrived[alive] & still & (not self.creeps)
             short = (h[alive] < _LEAST_STEP * horizon) & ~good
-            lost[alive] = ~(distance < _LOST * self.reach) | short
-            going = (t[alive] < horizon * (1 - 1e-9)) & ~(arrived | lost | resting)[alive]
+            lost[alive] = ~(distance < _LOST * self.reach)
+            stiff[alive] = short & ~lost[alive]
+            going = (t[alive] < horizon * (1 - 1e-9)) & ~(arrived | lost | resting | stiff)[alive]
             alive = alive[going]
+        pending = stiff.copy()
+        pending[alive] = not self.creeps
+        calls = _Calls(_MOST_CALLS)
+        for index in map(int, np.flatnonzero(pending)):
+            path = self._stiffly(z[index], t[index], horizon, calls)
+            if path is None:
+                lost[index] |= stiff[index]
+                continue
+            z[index] = path[-1]
+            arrived[index] = bool(self.distance(path[-1:])[0] <= near[index])
+            u = self._inputs(path)
+            peak[index] = np.fmax(peak[index], np.abs(u).max(0))
+            exceeded[index] |= ((u < self.lo) | (u > self.hi)).any(0)
         lost |= ~(arrived | resting) & ~(self.distance(z) < self.reach)
         cost = np.where(arrived, z[:, -1], np.inf)
         ends = z[:, : len(self.size)]
         return _Followed(ends, arrived, lost, resting, cost, peak, exceeded)
+
+    def _stiffly(self, z: Vector, t: float, horizon: float, calls: _Calls) -> Vector | None:
+        """The rest of a response whose steps became short, (points, N + 1); None: it has none.
+
+        Near a pole of the model a loop may be stiff, or its solution end there.
+        """
+        from scipy.integrate import solve_ivp  # slow to import, and few runs need it
+
+        def slope(_: float, state: Vector) -> Vector:
+            calls.count()
+            return np.asarray(self._slopes(state[None])[0][0], float)
+
+        try:
+            with interruptible(), np.errstate(all="ignore"):
+                found = solve_ivp(
+                    slope, (t, horizon), z, method="LSODA", rtol=_TOLERANCE, atol=_STIFF
+                )
+        except _Calls.Spent:
+            return None
+        path = np.asarray(found.y, float).T
+        return path if found.success and np.isfinite(path).all() else None
 
     def _error(self, start: Vector, end: Vector, difference: Vector) -> Vector:
         """Of a step, as a multiple of what is allowed, (B,); the cost has no say."""

@@ -231,7 +231,8 @@ def _judged(request: Request, say: Say) -> _Task:
     if request.structure is not None:
         model = with_structure(model, request.structure, x_star)
     method = read_method(request, options)
-    found = find_method(model, x_star, method, say, most=1 if request.check else _STRUCTURES)
+    most = 1 if request.check else _STRUCTURES
+    found = find_method(model, x_star, method, say, most, options.cost)
     if options.learn_casimir and found.learnable is not None:
         found = replace(found, chosen=found.learnable)
     if found.chosen is not None and not is_plant:

@@ -12,7 +12,7 @@ from necc_casadi.lyapunov.networks import Network
 from necc_casadi.lyapunov.opened_loop import plant_linearisation
 from necc_casadi.model.cost import QuadraticCost
 from necc_casadi.model.domain import domain_of
-from necc_casadi.performance.lqr import lqr
+from necc_casadi.model.lqr import lqr
 from necc_casadi.synthesis.descent import descended
 from necc_casadi.synthesis.lifting import Lifting
 from necc_casadi.synthesis.options import Options

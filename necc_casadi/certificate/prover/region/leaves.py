@@ -31,6 +31,10 @@ _STRADDLING = 5
 _CORE_SHARES = (0.5, 0.25, 0.125, 0.0625, 0.03, 0.01, 0.003)
 
 
+#: Side of a bucket over that of the largest cell, above 1 by more than any rounding.
+_COARSER = 1.01
+
+
 #: Cells (B, ds) → whether everything is smooth on each, as far as s alone tells.
 Defined = Callable[[Interval], Truth]
 
@@ -179,18 +183,44 @@ def _border_faces(leaves: Leaves, marked: Truth) -> Iterator[tuple[Indices, Inte
 def _component(boxes: Interval, open_: Truth, s_bar: Interval) -> Truth:
     """Open cells that are connected with those that meet the box of s̄; cells that touch are."""
     home = ((boxes.lo <= s_bar.hi) & (boxes.hi >= s_bar.lo)).all(1)
-    marked = home & open_
-    frontier = np.flatnonzero(marked)
-    while frontier.size:
-        left = np.flatnonzero(open_ & ~marked)
-        near = np.zeros(len(left), dtype=bool)
-        for part in np.array_split(frontier, -(-len(frontier) * max(1, len(left)) // 2_000_000)):
-            below = boxes.lo[left, None] <= boxes.hi[None, part]
-            above = boxes.hi[left, None] >= boxes.lo[None, part]
-            near |= np.asarray((below & above).all(-1)).any(1)
-        frontier = left[near]
-        marked[frontier] = True
-    return marked
+    marked: Truth = np.asarray(home & open_)
+    if not marked.any():
+        return marked
+    rows = np.flatnonzero(open_)
+    first, second = (rows[ends] for ends in _touching(boxes[rows]))
+    while True:
+        reached = second[marked[first] & ~marked[second]]
+        if not reached.size:
+            return marked
+        marked[reached] = True
+
+
+def _touching(boxes: Interval) -> tuple[Indices, Indices]:
+    """Pairs of boxes (B, d) that have a point in common.
+
+    Looked for among neighbours in a grid that is a little coarser than the largest box, so that
+    boxes that touch are never more than one bucket apart.
+    """
+    size = _COARSER * (boxes.hi - boxes.lo).max(0)
+    at = np.floor((boxes.lo - boxes.lo.min(0)) / size).astype(int)
+    keys, bucket = np.unique(at, axis=0, return_inverse=True)
+    members = np.split(
+        np.argsort(bucket.ravel(), kind="stable"), np.cumsum(np.bincount(bucket.ravel()))[:-1]
+    )
+    place = {tuple(key): k for k, key in enumerate(keys.tolist())}
+    first, second = [np.zeros(0, dtype=int)], [np.zeros(0, dtype=int)]
+    for key, here in zip(keys.tolist(), members, strict=True):
+        for step in product((-1, 0, 1), repeat=len(key)):
+            other = place.get(tuple(a + b for a, b in zip(key, step, strict=True)))
+            if other is None:
+                continue
+            there = members[other]
+            below = boxes.lo[here][:, None] <= boxes.hi[there][None]
+            above = boxes.hi[here][:, None] >= boxes.lo[there][None]
+            a, b = np.nonzero((below & above).all(-1))
+            first.append(here[a])
+            second.append(there[b])
+    return np.concatenate(first), np.concatenate(second)
 
 
 def _cut(reduced: Reduced, leaves: Leaves, needed: Truth) -> Leaves:

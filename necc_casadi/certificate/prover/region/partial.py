@@ -135,7 +135,7 @@ class Components:
         best = next((component for component in found if component is not None), None)
         if best is not None and best.obstacle.kind != "arithmetic":
             return best
-        split = bent_split(self._splits)
+        split = bent_split(self._splits, self._around)
         tubed = None if split is None else self._below_obstacle(self._bounded(split), _tubed)
         return max((c for c in (best, tubed) if c is not None), key=_level, default=None)
 

@@ -8,6 +8,8 @@ points have V_e = 0, so e = ε(s); where w has one, z̄, it is the component wit
 
 from __future__ import annotations
 
+from itertools import combinations
+
 import numpy as np
 
 from necc_casadi.arrays import Vector
@@ -29,14 +31,33 @@ _SHARES = (0.6, 0.25)
 _SAMPLES, _MOST, _ROWS = 1024, 4_000, 512
 
 
-def bent_split(splits: Splits) -> Reduced | None:
-    """The split that keeps the states on which ∇²H and ∇c depend, of which no floor is known."""
+def bent_split(splits: Splits, around: Interval) -> Reduced | None:
+    """The split that keeps the states on which ∇²H and ∇c depend, of which no floor is known.
+
+    Where they are more than a region may keep: the fewest of them that leave V convex in the rest
+    at samples of the box `around` (d,), as it is where H is, though not for all values.
+    """
     symbols = splits.symbols
-    kept = tuple(i for i, s in enumerate(symbols) if splits.bends_with(s))
-    gone = tuple(i for i in range(len(symbols)) if i not in kept)
-    if not gone or len(kept) > MOST_KEPT:
+    bent = tuple(i for i, s in enumerate(symbols) if splits.bends_with(s))
+    kept = bent if len(bent) <= MOST_KEPT else _fewest_kept(splits, bent, around)
+    if kept is None or len(kept) == len(symbols):
         return None
+    gone = tuple(i for i in range(len(symbols)) if i not in kept)
     return Reduced(splits.potential, kept, gone, np.eye(len(gone)))
+
+
+def _fewest_kept(splits: Splits, bent: tuple[int, ...], around: Interval) -> tuple[int, ...] | None:
+    """States that leave V convex in the others at samples of a box; None: no few do."""
+    whole = Reduced(splits.potential, (), tuple(range(len(around.lo))), np.eye(len(around.lo)))
+    Y = around.lo + quasi_random(_SAMPLES, len(around.lo), 0) * (around.hi - around.lo)
+    hess = whole.landscape.jets(Y)[2]
+    for size in range(MOST_KEPT + 1):
+        for kept in combinations(bent, size):
+            gone = [i for i in range(len(around.lo)) if i not in kept]
+            V_ee = hess[:, gone][:, :, gone]
+            if np.isfinite(V_ee).all() and np.linalg.eigvalsh(V_ee)[:, 0].min() > 0:
+                return kept
+    return None
 
 
 def tube_around(reduced: Reduced, found: Search, level: float) -> Interval | None:

@@ -2,11 +2,12 @@
 
 import json
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 from helpers.problems import problem, solve
+from helpers.symbolic_plants import EXAMPLES
+from scipy.optimize import minimize
 
 from necc_casadi.certificate.checker.check import check
 from necc_casadi.certificate.prover.arithmetic.intervals import Interval
@@ -15,10 +16,12 @@ from necc_casadi.certificate.prover.certify import certify
 from necc_casadi.certificate.prover.region.split import Splits
 from necc_casadi.certificate.prover.region.tube import bent_split, convex_over
 from necc_casadi.errors import OutputError
+from necc_casadi.methods.find import find_method
 from necc_casadi.model.model_file import load_model
 from necc_casadi.synthesis.options import paper_options
+from necc_casadi.synthesis.synthesis import design
 
-MAGLEV = Path(__file__).parents[4] / "examples" / "maglev.py"
+MAGLEV = EXAMPLES / "maglev.py"
 
 
 @pytest.fixture(scope="module")
@@ -120,9 +123,14 @@ def test_v_is_convex_in_what_is_minimised_out(made, certificate):
         assert natural.lyapunov.hessian([q, 0.0, xi])[2, 2] >= region.floor[0][0]
 
 
+def around(made):
+    y = made.natural.z_star[[0, 2]]
+    return Interval(y - 0.1, y + 0.1)
+
+
 def test_no_floor_where_v_curves_downwards(made):
     splits = Splits(Potential(made.natural, tuple(made.momenta)))
-    split = bent_split(splits)
+    split = bent_split(splits, around(made))
     assert split.kept == (0,)
     y = made.natural.z_star[[0, 2]]
     s = Interval(y[:1] - 0.01, y[:1] + 0.01)
@@ -133,7 +141,38 @@ def test_no_floor_where_v_curves_downwards(made):
 
 def test_no_split_where_nothing_is_minimised_out(made):
     splits = Splits(Potential(made.natural, tuple(made.momenta)))
-    assert bent_split(splits) is not None
+    assert bent_split(splits, around(made)) is not None
     everywhere = replace(splits)
     object.__setattr__(everywhere, "bends_with", lambda symbol: True)
-    assert bent_split(everywhere) is None
+    assert bent_split(everywhere, around(made)) is None
+
+
+def test_a_convex_energy_keeps_none_of_more_states_than_a_region_may():
+    """Outflows that go with the root of the level: ∇²H depends on all four of them.
+
+    The region ends where a level meets its bound, at the least of V there, found otherwise.
+    """
+    model = load_model(EXAMPLES / "quadruple_tank.py")
+    target = {s: model.target[str(s)] for s in model.system.x}
+    method = find_method(model, target).chosen
+    made = design(method.loop, method.casimirs, method.verdict, target)
+    certificate = certify(made)
+    assert certificate.region.kept == ()
+    assert len(certificate.region.tube) == 6
+    assert certificate.obstacle.kind == "domain"
+    assert certificate.obstacle_share > 0.9
+    lower = {s: float(lo) for s, (lo, _) in made.loop.plant.domain.items()}
+    sizes, z_bar = made.sizes.state, made.z_bar
+    least = []
+    for i, name in enumerate(made.loop.plant.states):
+        free = [k for k in range(6) if k != i]
+
+        def value(w, i=i, name=name, free=free):
+            z = np.zeros(6)
+            z[i], z[free] = lower[name], z_bar[free] + w * sizes[free]
+            inside = all(z[k] > 0 for k in range(4))
+            return (made.V(z) - made.V(z_bar)) / made.sizes.energy if inside else np.inf
+
+        found = minimize(value, np.zeros(5), method="Nelder-Mead", options={"maxiter": 8000})
+        least.append(found.fun * made.sizes.energy)
+    assert certificate.obstacle.level_above_minimum == pytest.approx(min(least), rel=1e-3)

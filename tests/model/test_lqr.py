@@ -5,7 +5,7 @@ import pytest
 
 from necc_casadi.errors import OptionError
 from necc_casadi.model.cost import QuadraticCost, weight_matrix
-from necc_casadi.performance.lqr import lqr
+from necc_casadi.model.lqr import lqr
 
 
 def test_the_double_integrator_by_hand():
