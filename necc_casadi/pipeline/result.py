@@ -9,9 +9,6 @@ from typing import TYPE_CHECKING, Any
 
 from necc_casadi.arrays import Vector
 from necc_casadi.casimirs.casimirs import Casimirs
-from necc_casadi.certificate.claims.certificate import Certificate
-from necc_casadi.certificate.claims.claim import Claim
-from necc_casadi.designs.design import Design
 from necc_casadi.errors import OptionError
 from necc_casadi.methods.method import Method
 from necc_casadi.pipeline.request import Request
@@ -25,6 +22,9 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+    from necc_casadi.certificate.claims.certificate import Certificate
+    from necc_casadi.certificate.claims.claim import Claim
+    from necc_casadi.designs.design import Design
     from necc_casadi.performance.measure import Performance
 
 __all__ = ["Result"]

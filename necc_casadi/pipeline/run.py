@@ -16,10 +16,6 @@ from typing import TYPE_CHECKING, Any
 
 import sympy as sp
 
-from necc_casadi.certificate.claims.certificate import Certificate
-from necc_casadi.designs.design import Design
-from necc_casadi.designs.outcome import Start
-from necc_casadi.designs.plant_file import PLANT_FILE, plant_text
 from necc_casadi.errors import InputError
 from necc_casadi.files import LISTING, check_writable, write_text
 from necc_casadi.folders import whole_folder
@@ -49,7 +45,10 @@ from necc_casadi.report.sweep_point import SweepPoint
 from necc_casadi.synthesis.options import Options
 
 if TYPE_CHECKING:  # what --check does not need is loaded when it is reached
+    from necc_casadi.certificate.claims.certificate import Certificate
     from necc_casadi.choice.choose import Choice
+    from necc_casadi.designs.design import Design
+    from necc_casadi.designs.outcome import Start
     from necc_casadi.export.sampled_loop import SampledLoop
     from necc_casadi.performance.measure import Performance
     from necc_casadi.simulation.responses import Trajectory
@@ -194,6 +193,8 @@ def _written(
         write_text(folder / "certificate.json", certificate.to_json()),
     ]
     if found.parametric is not None:
+        from necc_casadi.designs.plant_file import PLANT_FILE, plant_text
+
         saved.append(write_text(folder / PLANT_FILE, plant_text(made, found.parametric)))
     drawn = _drawn(request, found, folder, clock)
     files = [path.relative_to(folder).as_posix() for path in (*saved, *exported(), *drawn)]

@@ -12,11 +12,6 @@ import numpy as np
 import sympy as sp
 
 from necc_casadi.casimirs.casimirs import Casimirs
-from necc_casadi.certificate.claims.certificate import Certificate
-from necc_casadi.certificate.claims.claim import Claim
-from necc_casadi.designs.design import Design
-from necc_casadi.designs.measures import Measures
-from necc_casadi.designs.outcome import Residual
 from necc_casadi.model.modulated import System
 from necc_casadi.report.asked import asked_text, missed
 from necc_casadi.report.compared import comparison, error_lines
@@ -27,7 +22,12 @@ from necc_casadi.symbolic.floats import to_float
 from necc_casadi.verdict.verdict import Verdict
 
 if TYPE_CHECKING:
+    from necc_casadi.certificate.claims.certificate import Certificate
+    from necc_casadi.certificate.claims.claim import Claim
     from necc_casadi.choice.judged import Judged
+    from necc_casadi.designs.design import Design
+    from necc_casadi.designs.measures import Measures
+    from necc_casadi.designs.outcome import Residual
     from necc_casadi.export.sampled_loop import SampledLoop
     from necc_casadi.performance.measure import Performance
 
