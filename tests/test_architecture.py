@@ -230,7 +230,7 @@ PUBLIC = [
     "Casimirs", "Certificate", "ClosedLoop", "Controller", "Design", "Model", "Options", "Plant",
     "Result", "RunOptions", "Trajectory", "Verdict", "__version__", "certify", "choose", "design",
     "export_c", "find_casimirs", "interconnect", "judge", "load_model", "make_controller",
-    "make_plant", "paper_options",
+    "make_model", "make_plant", "paper_options",
     "parse_target", "run", "simulate",
 ]  # fmt: skip
 

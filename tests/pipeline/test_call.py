@@ -16,7 +16,7 @@ from html5lib import HTMLParser
 from matplotlib.figure import Figure
 
 import necc_casadi
-from necc_casadi import Design, RunOptions, make_plant, run
+from necc_casadi import Design, RunOptions, make_model, make_plant, run
 from necc_casadi.cli.design import _design
 from necc_casadi.errors import ModelError, OptionError
 from necc_casadi.pipeline.request import Choices, Request
@@ -64,6 +64,38 @@ def test_a_plant_of_a_notebook():
         run(plant, "pi/4", param={"k": 4})
     with pytest.raises(OptionError, match="there is no design, the run ended assignable"):
         found.loop_transfer()
+
+
+def test_a_mechanical_plant_of_a_notebook_is_that_of_its_file(tmp_path):
+    q, m, g = sp.symbols("q m g")
+    V = m * g * (1 - sp.cos(q))
+    model = make_model(q=q, M=m, V=V, B=1, params={m: 2, g: 9.81}, u_limits=[(-40, 40)])
+    text = """
+import sympy as sp
+q, m, g = sp.symbols("q m g")
+M, V, B = m, m * g * (1 - sp.cos(q)), 1
+params = {m: 2, g: 9.81}
+u_limits = [(-40, 40)]
+name = "plant"
+"""
+    (tmp_path / "file.py").write_text(text, encoding="utf-8")
+    mine, file = (run(own, "pi/4", **SMALL) for own in (model, tmp_path / "file.py"))
+    assert mine.status == "certified"
+    assert mine.design.text == file.design.text
+    assert "certified, asymptotically stable" in repr(mine)
+
+
+@pytest.mark.parametrize(
+    ("names", "message"),
+    [
+        ({"q": sp.Symbol("q"), "M": 1, "V": 0}, "make_model does not define x, J, R, G, H"),
+        ({"frction": 1}, "no model has a name frction\nDid you mean friction"),
+        ({"colour": 1}, "no model has a name colour\nNames: x, J, R, G, H, q, M, V, B, friction"),
+    ],
+)
+def test_a_model_that_lacks_or_misspells_a_name_is_refused(names, message):
+    with pytest.raises(ModelError, match=message):
+        make_model(**names)
 
 
 def test_a_refusal_is_a_value():
