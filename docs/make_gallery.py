@@ -102,7 +102,8 @@ def main() -> None:
     text = "\n".join([INTRO, *table, "", *sections])
     (DOCS / "gallery.md").write_text(text, encoding="utf-8")
     readme_pictures()
-    shown = text + (DOCS.parent / "README.md").read_text(encoding="utf-8")
+    pages = (*DOCS.glob("*.md"), DOCS.parent / "README.md")
+    shown = "".join(page.read_text(encoding="utf-8") for page in pages)
     for picture in IMAGES.glob("*.png"):
         if f"images/{picture.name})" not in shown:
             picture.unlink()
