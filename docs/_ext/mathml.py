@@ -7,19 +7,16 @@ from latex2mathml.converter import convert
 from sphinx.application import Sphinx
 
 
-def _markup(node: nodes.Element, display: str) -> str:
-    return str(convert(node.astext(), display=display))
-
-
 def visit_math(self: nodes.NodeVisitor, node: nodes.math) -> None:
-    """A formula within a line."""
-    self.body.append(_markup(node, "inline"))
+    """A formula within a line; a list of formulas may be broken after a comma."""
+    parts = node.astext().split(r",\ ")
+    self.body.append(", ".join(str(convert(part, display="inline")) for part in parts))
     raise nodes.SkipNode
 
 
 def visit_math_block(self: nodes.NodeVisitor, node: nodes.math_block) -> None:
     """A formula on lines of its own."""
-    self.body.append(f'<div class="math">{_markup(node, "block")}</div>\n')
+    self.body.append(f'<div class="math">{convert(node.astext(), display="block")}</div>\n')
     raise nodes.SkipNode
 
 

@@ -191,15 +191,16 @@ class Result:
             The figure that was made; None with axes of your own.
         """
         from necc_casadi.report import figures
+        from necc_casadi.report.ticks import finished
 
         made, found = self.findings.finished[0], self.findings.responses
-        return _on(
-            ax,
-            show,
-            figures.shown_over_time(made, found),
-            lambda axis, name: figures.draw_over_time(axis, made, found, name),
-            lambda: figures.responses_figure(made, found),
-        )
+
+        def draw(axis: Axes, name: str) -> None:
+            figures.draw_over_time(axis, made, found, name)
+            finished(axis, [("x", "time", "s")])
+
+        known = figures.shown_over_time(made, found)
+        return _on(ax, show, known, draw, lambda: figures.responses_figure(made, found))
 
     def plot_comparison(self, ax: Any = None, show: str | Sequence[str] | None = None) -> Any:
         """The step and the loop beside LQR, with ``compare=True``.

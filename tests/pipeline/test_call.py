@@ -125,6 +125,7 @@ def test_plots_on_axes_of_ones_own(result):
     for line, response in zip(axes[0].lines, result.responses, strict=False):
         np.testing.assert_array_equal(line.get_ydata(), response.z[:, 0])
     assert [axis.get_ylabel() for axis in axes] == ["q [rad]", "u", "V − V(z̄)"]
+    assert {axis.get_xlabel() for axis in axes} == {"time [s]"}
     (gain,) = [Figure().add_subplot()]
     result.plot_comparison(ax=gain, show="gain")
     loop = result.performance.loops[0]
