@@ -14,6 +14,7 @@ copyright = author
 version = release = installed("necc-casadi")
 
 extensions = [
+    "docstrings",
     "mathml",
     "myst_nb",
     "sphinx.ext.autodoc",
@@ -43,6 +44,7 @@ nb_execution_raise_on_error = True
 nb_merge_streams = True
 
 autodoc_member_order = "bysource"
+autodoc_type_aliases = {"Vector": "Vector", "npt.ArrayLike": "ArrayLike"}
 autodoc_typehints = "signature"
 autodoc_preserve_defaults = True
 napoleon_google_docstring = False
