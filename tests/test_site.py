@@ -128,6 +128,7 @@ def test_commands_on_the_pages_have_options_that_exist():
     assert seen == {f"necc-{name}" for name in COMMANDS}
 
 
+@pytest.mark.slow
 def test_the_code_of_the_tuning_page_runs(tmp_path, monkeypatch):
     (text,) = blocks("how-to-tuning.md", "python")
     monkeypatch.chdir(tmp_path)

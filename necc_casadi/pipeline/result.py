@@ -292,9 +292,9 @@ class Result:
 
     def __repr__(self) -> str:
         """One line: the plant, the outcome, the target."""
-        from necc_casadi.report.to_text import headline, target_text
+        from necc_casadi.report.to_text import in_short, target_text
 
-        return f"<Result {headline(self.findings)}; {target_text(self.findings)}>"
+        return f"<Result {in_short(self.findings)}; {target_text(self.findings)}>"
 
     def _repr_html_(self) -> str:
         from necc_casadi.report.page import fragment

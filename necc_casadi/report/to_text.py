@@ -35,6 +35,7 @@ __all__ = [
     "brief",
     "facts",
     "headline",
+    "in_short",
     "mark",
     "percent",
     "rounded_down",
@@ -88,6 +89,14 @@ def summary(found: Findings, width: int = _WIDTH, *, verbose: bool = False) -> s
 def headline(found: Findings) -> str:
     """The plant and the outcome; what is wrong comes first."""
     return f"{found.system.name}: {_outcome(found)}"
+
+
+def in_short(found: Findings) -> str:
+    """The same without the words of warnings: how many there are."""
+    count = len(found.warnings)
+    if found.status != "certified" or not count:
+        return headline(found)
+    return f"{found.system.name}: certified, with {count} warning{'s' if count > 1 else ''}"
 
 
 def facts(found: Findings) -> list[tuple[str, str]]:

@@ -89,7 +89,8 @@ name = "plant"
     mine, file = (run(own, "pi/4", **SMALL) for own in (model, tmp_path / "file.py"))
     assert mine.status == "certified"
     assert mine.design.text == file.design.text
-    assert "certified, asymptotically stable" in repr(mine)
+    assert repr(mine) == "<Result plant: certified, with 1 warning; q = pi/4, p_q = 0>"
+    assert " starts ask for |u|" in mine.summary()
 
 
 @pytest.mark.parametrize(
