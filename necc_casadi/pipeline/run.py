@@ -11,6 +11,7 @@ import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,6 +20,7 @@ import sympy as sp
 from necc_casadi.errors import InputError
 from necc_casadi.files import LISTING, check_writable, write_text
 from necc_casadi.folders import whole_folder
+from necc_casadi.interrupts import uninterrupted
 from necc_casadi.methods.find import Found, find_method
 from necc_casadi.methods.method import Method
 from necc_casadi.model.model_file import Model
@@ -104,6 +106,7 @@ def run_design(request: Request, say: Say) -> Findings:
     )
     if task.found.chosen is None or request.check:
         return found
+    _load_designs()
     if request.out is None:
         choice, task = _chosen(task, clock)
         return _studied(request, task, found, choice, clock)
@@ -115,6 +118,12 @@ def run_design(request: Request, say: Say) -> Findings:
             )
             found = _studied(request, task, found, choice, clock)
             return _written(request, found, folder, exported.result, clock)
+
+
+def _load_designs() -> None:
+    """Load what designs are made of, CasADi among it: while it starts, it swallows a Ctrl-C."""
+    with uninterrupted():
+        import_module("necc_casadi.designs.design")
 
 
 def write_run(request: Request, found: Findings, out: Path, say: Say) -> Findings:
