@@ -102,7 +102,8 @@ def main() -> None:
     text = "\n".join([INTRO, *table, "", *sections])
     (DOCS / "gallery.md").write_text(text, encoding="utf-8")
     readme_pictures()
-    shown = text + (DOCS.parent / "README.md").read_text(encoding="utf-8")
+    pages = (*DOCS.glob("*.md"), DOCS.parent / "README.md")
+    shown = "".join(page.read_text(encoding="utf-8") for page in pages)
     for picture in IMAGES.glob("*.png"):
         if f"images/{picture.name})" not in shown:
             picture.unlink()
@@ -212,7 +213,8 @@ def outcome(run: Run) -> str:
         count = f"{len(published.casimirs.functions)} of {published.casimirs.generic_count}"
         rows.append(f"- Casimirs of the published loop: {casimirs} ({count})")
         rows.append(f"- Verdict on it: {verdict_text(published.verdict)}")
-    rows += [f"- {label or '…'}: {text}" for label, text in method_rows(found.found)]
+    methods = [(label, text.replace("*", r"\*")) for label, text in method_rows(found.found)]
+    rows += [f"- {label or '…'}: {text}" for label, text in methods]
     if found.design is None or found.certificate is None:
         return "\n".join(rows) + "\n"
     for claim in found.certificate.claims:

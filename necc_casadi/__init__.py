@@ -5,6 +5,8 @@ From a sympy model to a certified C controller, in one call::
     result = run("pendulum.py", target="pi/4")            # nothing is written; out="folder" does
     print(result.summary()); result.plot_responses(); result.save("pendulum-design")
 
+    run(make_model(q=q, M=1, V=1 - cos(q), B=1), "pi/4")  # a notebook's own, without a file
+
 or step by step, in the order of the theory::
 
     model = load_model("pendulum.py")
@@ -44,6 +46,7 @@ if TYPE_CHECKING:  # what _HOME says, for tools that do not run the code
     from necc_casadi.model.controller import make_controller as make_controller
     from necc_casadi.model.model_file import Model as Model
     from necc_casadi.model.model_file import load_model as load_model
+    from necc_casadi.model.model_file import make_model as make_model
     from necc_casadi.model.plant import Plant as Plant
     from necc_casadi.model.plant import make_plant as make_plant
     from necc_casadi.model.target import parse_target as parse_target
@@ -83,6 +86,7 @@ _HOME = {
     "judge": "verdict.judge",
     "load_model": "model.model_file",
     "make_controller": "model.controller",
+    "make_model": "model.model_file",
     "make_plant": "model.plant",
     "paper_options": "synthesis.options",
     "parse_target": "model.target",

@@ -230,7 +230,7 @@ PUBLIC = [
     "Casimirs", "Certificate", "ClosedLoop", "Controller", "Design", "Model", "Options", "Plant",
     "Result", "RunOptions", "Trajectory", "Verdict", "__version__", "certify", "choose", "design",
     "export_c", "find_casimirs", "interconnect", "judge", "load_model", "make_controller",
-    "make_plant", "paper_options",
+    "make_model", "make_plant", "paper_options",
     "parse_target", "run", "simulate",
 ]  # fmt: skip
 
@@ -293,3 +293,23 @@ def test_help_imports_no_heavy_package(command, arguments):
 def test_importing_the_package_is_light():
     code = f"import sys, necc_casadi; sys.exit(any(m in sys.modules for m in {HEAVY!r}))"
     assert subprocess.run([sys.executable, "-c", code]).returncode == 0
+
+
+def test_a_verdict_loads_nothing_that_designs_need(tmp_path):
+    """``--check`` answers at once: no CasADi, no prover, no figures."""
+    code = (
+        "import sys; from necc_casadi.cli.design import _design; "
+        "from necc_casadi.cli.terminal import run; "
+        "code = run(_design, sys.argv[1:]); "
+        "print(*sys.modules, file=sys.stderr); sys.exit(code)"
+    )
+    arguments = [str(PACKAGE.parent / "examples" / "pendulum.py"), "--target", "pi/4", "--check"]
+    done = subprocess.run(
+        [sys.executable, "-c", code, *arguments], capture_output=True, text=True, cwd=tmp_path
+    )
+    assert done.returncode == 0, done.stderr
+    loaded = set(done.stderr.split())
+    assert "sympy" in loaded
+    assert not loaded & {"casadi", "matplotlib", "scipy", "clarabel", "numpy.ma"}
+    ours = {name.split(".")[1] for name in loaded if name.startswith("necc_casadi.")}
+    assert not ours & {"lyapunov", "designs", "simulation", "certificate", "export", "performance"}

@@ -390,10 +390,16 @@ def test_every_link_leads_somewhere(page):
             assert anchor in anchors(path.read_text("utf-8")), target
 
 
-def test_the_readme_leads_to_every_document():
+def test_the_site_leads_to_every_page_and_the_readme_to_what_a_user_needs():
+    trees = re.findall(r"```{toctree}\n(.*?)```", PAGES[DOCS / "index.md"], re.DOTALL)
+    index = {line for tree in trees for line in tree.splitlines()}
+    for page in (*DOCS.glob("*.md"), *DOCS.glob("*.ipynb")):
+        assert page.stem in index | {"index"}, page.name
     readme = PAGES[ROOT / "README.md"]
-    for page in (*DOCS.glob("*.md"), ROOT / "benchmarks" / "README.md"):
-        assert f"]({page.relative_to(ROOT).as_posix()})" in readme, page.name
+    for name in ("start", "limits", "glossary", "faq", "contract", "theory", "python", "gallery"):
+        assert f"](docs/{name}.md)" in readme, name
+    assert "](benchmarks/README.md)" in readme
+    assert len(readme.splitlines()) < 70
 
 
 def test_every_benchmark_is_explained():

@@ -1,4 +1,4 @@
-"""The README's commands and code, run as they stand."""
+"""Commands and code of the README and of the pages that a new user reads, run as they stand."""
 
 import re
 import shlex
@@ -11,12 +11,12 @@ import pytest
 from necc_casadi.model.model_file import load_model
 
 ROOT = Path(__file__).parent.parent
-README = (ROOT / "README.md").read_text(encoding="utf-8")
 BIN = Path(sys.executable).parent
 
 
-def blocks(language: str) -> list[str]:
-    fenced = re.findall(r"^```(\w*)\n(.*?)^```$", README, re.DOTALL | re.MULTILINE)
+def blocks(language: str, page: str = "README.md") -> list[str]:
+    text = (ROOT / page).read_text(encoding="utf-8")
+    fenced = re.findall(r"^```(\w*)\n(.*?)^```$", text, re.DOTALL | re.MULTILINE)
     return [text for name, text in fenced if name == language]
 
 
@@ -45,9 +45,10 @@ def designed(tmp_path_factory):
 def test_main_command_shows_what_the_readme_shows(designed):
     folder, done = designed
     assert done.returncode == 0, done.stderr
-    shown = blocks("")[0].strip().splitlines()
-    assert done.stdout.splitlines()[0] == shown[0]
-    assert labels(shown) <= labels(done.stdout.splitlines())
+    for page in ("README.md", "docs/start.md"):
+        shown = next(b for b in blocks("", page) if b.startswith("Pendulum")).splitlines()
+        assert done.stdout.splitlines()[0] == shown[0]
+        assert labels(shown) <= labels(done.stdout.splitlines())
     for name in ("design.json", "certificate.json", "c/necc.c", "figures/lyapunov.png"):
         assert (folder / "pendulum-design" / name).is_file()
 
@@ -58,7 +59,8 @@ def test_other_commands_of_the_readme(designed):
     assert (folder / "r.csv").read_text().startswith("t,q,p,xi1,u1,V")
     certified = run("necc-certify pendulum-design", folder)
     assert certified.returncode == 0, certified.stdout + certified.stderr
-    upright = next(b for b in blocks("") if b.startswith("necc-design examples/cart_pole"))
+    limits = blocks("", "docs/limits.md")
+    upright = next(b for b in limits if b.startswith("necc-design examples/cart_pole"))
     command = upright.strip().splitlines()[0]
     held = run(f"{command} --check", folder)
     assert held.returncode == 0
@@ -66,11 +68,18 @@ def test_other_commands_of_the_readme(designed):
     refused = run(f"{command} --check --method interconnection", folder)
     assert refused.returncode == 3
     assert "invisible_negative_curvature: theta" in refused.stdout
+    command, shown = (b for b in limits if "parallel_rlc" in b or b.startswith("Parallel"))
+    obstacle = run(command, folder)
+    assert obstacle.returncode == 3
+    assert obstacle.stdout.split() == shown.split()
 
 
 def test_model_and_python_code_of_the_readme(designed, monkeypatch):
     folder, _ = designed
-    model, arm, usage = blocks("python")
+    (model,) = blocks("python")
+    assert model in blocks("python", "docs/start.md")
+    (arm,) = blocks("python", "docs/how-to-mechanical.md")
+    usage, notebook = blocks("python", "docs/python.md")
     (folder / "own.py").write_text(model)
     done = run("necc-design own.py --target q=pi/4 --check", folder)
     assert done.returncode == 0, done.stderr
@@ -81,11 +90,13 @@ def test_model_and_python_code_of_the_readme(designed, monkeypatch):
     space: dict[str, object] = {}
     exec(usage, space)
     assert space["A"].shape == (3, 3)
+    exec(notebook, space)
+    assert space["result"].status == "certified"
 
 
 def test_every_picture_is_there_and_shown():
     shown = set()
-    for page in (ROOT / "README.md", ROOT / "docs" / "gallery.md"):
+    for page in (ROOT / "README.md", *(ROOT / "docs").glob("*.md")):
         text = page.read_text(encoding="utf-8")
         pictures = {page.parent / name for name in re.findall(r"!\[[^]]*\]\(([^)]+)\)", text)}
         assert not [str(path) for path in pictures if not path.is_file()]

@@ -27,7 +27,7 @@ from necc_casadi.model.closed_loop import ClosedLoop, interconnect
 from necc_casadi.model.control_affine import ControlAffine
 from necc_casadi.model.controller import Controller, default_controller, make_controller
 from necc_casadi.model.cost import weight_matrix
-from necc_casadi.model.mechanical_file import Mechanical, is_mechanical, phase_space
+from necc_casadi.model.mechanical_file import MECHANICAL, Mechanical, is_mechanical, phase_space
 from necc_casadi.model.modulated import (
     Modulated,
     System,
@@ -41,7 +41,7 @@ from necc_casadi.symbolic.expressions import exact, parse_number
 from necc_casadi.symbolic.zero import sign
 from necc_casadi.texts import escaped
 
-__all__ = ["Model", "damping_matrix", "load_model"]
+__all__ = ["Model", "damping_matrix", "load_model", "make_model"]
 
 
 _REQUIRED = ("x", "J", "R", "G", "H")
@@ -141,21 +141,68 @@ def load_model(path: str | Path, overrides: Mapping[str, str] | None = None) -> 
     """
     path = Path(path)
     space = _execute(path)
+    model = _checked(path.name, escaped(path.stem), space, overrides or {})
+    return replace(model, notes=_mistyped(space))
+
+
+def make_model(**names: Any) -> Model:
+    """Check what a model file would say, given as arguments, as in a notebook.
+
+    Parameters
+    ----------
+    names
+        As in a model file (docs/contract.md#model-file): ``x, J, R, G, H``, or ``q, M, V, B`` and
+        ``friction``, or ``x, f, G``; with ``params``, ``sizes``, ``u_limits``, ``domain``, ….
+
+    Returns
+    -------
+    Model
+        Exact and checked; :func:`necc_casadi.run` takes it.
+
+    Raises
+    ------
+    ModelError
+        As :func:`load_model`, and ``model_file`` for a name that no model has.
+
+    Examples
+    --------
+    >>> import sympy as sp
+    >>> from necc_casadi import make_model
+    >>> q, g = sp.symbols("q g")
+    >>> model = make_model(q=q, M=1, V=g * (1 - sp.cos(q)), B=1, params={g: 9.81}, name="arm")
+    >>> model.loop.plant.states, model.loop.plant.H
+    (('q', 'p_q'), p_q**2/2 - 981*cos(q)/100 + 981/100)
+    >>> make_model(q=q, M=1, V=0, B=1, frction=1)
+    Traceback (most recent call last):
+    necc_casadi.errors.ModelError: no model has a name frction
+    Did you mean friction?
+    """
+    known = dict.fromkeys((*_REQUIRED, *MECHANICAL, "friction", *_OPTIONAL))
+    for name in names:
+        if name not in known:
+            near = get_close_matches(name, known, n=1)
+            remedy = f"Did you mean {near[0]}?" if near else f"Names: {', '.join(known)}."
+            raise ModelError("model_file", f"no model has a name {escaped(name)}", remedy)
+    return _checked("make_model", "plant", names, {})
+
+
+def _checked(source: str, title: str, space: dict[str, Any], overrides: Mapping[str, str]) -> Model:
+    """The model that names and values make; `source` is what gave them."""
     missing = _missing(space)
     if missing:
         raise ModelError(
             "model_file",
-            f"{path.name} does not define {', '.join(missing)}",
+            f"{source} does not define {', '.join(missing)}",
             "A model file defines x, J, R, G and H with sympy (or x, f, G; or q, M, V, B).",
         )
     try:
-        return replace(_build(path, space, overrides or {}), notes=_mistyped(space))
+        return _build(title, space, overrides)
     except InputError:
         raise
     except (TypeError, ValueError, AttributeError, KeyError, IndexError) as problem:
         raise ModelError(
             "model_file",
-            f"{path.name}: a name has a value of the wrong kind ({' '.join(str(problem).split())})",
+            f"{source}: a name has a value of the wrong kind ({' '.join(str(problem).split())})",
             "Compare it with examples/pendulum.py.",
         ) from None
 
@@ -242,11 +289,11 @@ def _mistyped(space: Mapping[str, Any]) -> tuple[str, ...]:
     )
 
 
-def _build(path: Path, space: dict[str, Any], overrides: Mapping[str, str]) -> Model:
+def _build(title: str, space: dict[str, Any], overrides: Mapping[str, str]) -> Model:
     if is_mechanical(space):
         space = {**space, "x": phase_space(space["q"])}
     file = _Reader(space, overrides)
-    plant = _plant(path, file)
+    plant = _plant(title, file)
     controller = _controller(plant, file) if isinstance(plant, Plant) else None
     inner = () if controller is None else controller.states
     states = (*plant.states, *inner)
@@ -270,11 +317,11 @@ def _build(path: Path, space: dict[str, Any], overrides: Mapping[str, str]) -> M
     )
 
 
-def _plant(path: Path, file: _Reader) -> System:
+def _plant(title: str, file: _Reader) -> System:
     """The plant, in the form that the file gives it."""
     space, x, limits = file.space, [_real(s) for s in file.states], _limits(file)
     about: dict[str, Any] = {
-        "name": _printable(str(space.get("name", escaped(path.stem))), "name"),
+        "name": _printable(str(space.get("name", title)), "name"),
         "units": {
             name: _printable(str(unit), f"units[{escaped(name)}]")
             for name, unit in file.table("units").items()

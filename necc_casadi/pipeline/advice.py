@@ -7,8 +7,6 @@ from typing import TYPE_CHECKING
 
 import sympy as sp
 
-from necc_casadi.certificate.claims.certificate import Certificate
-from necc_casadi.designs.design import Design
 from necc_casadi.methods.method import Method
 from necc_casadi.model.model_file import Model
 from necc_casadi.model.piece import loop_piece
@@ -19,6 +17,8 @@ from necc_casadi.synthesis.options import Options
 from necc_casadi.verdict.controller_structures import suggest_controllers
 
 if TYPE_CHECKING:
+    from necc_casadi.certificate.claims.certificate import Certificate
+    from necc_casadi.designs.design import Design
     from necc_casadi.simulation.responses import Trajectory
 
 __all__ = [

@@ -28,7 +28,7 @@ def run(
     Parameters
     ----------
     model
-        Path of a model file, or a plant of :func:`make_plant`.
+        Path of a model file, a model of :func:`make_model`, or a plant of :func:`make_plant`.
     target
         ``"pi/4"``, ``{"q": 0.8}``, or all states in order; by default the model file's.
     out

@@ -9,9 +9,6 @@ from typing import TYPE_CHECKING, Any
 
 from necc_casadi.arrays import Vector
 from necc_casadi.casimirs.casimirs import Casimirs
-from necc_casadi.certificate.claims.certificate import Certificate
-from necc_casadi.certificate.claims.claim import Claim
-from necc_casadi.designs.design import Design
 from necc_casadi.errors import OptionError
 from necc_casadi.methods.method import Method
 from necc_casadi.pipeline.request import Request
@@ -25,6 +22,9 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+    from necc_casadi.certificate.claims.certificate import Certificate
+    from necc_casadi.certificate.claims.claim import Claim
+    from necc_casadi.designs.design import Design
     from necc_casadi.performance.measure import Performance
 
 __all__ = ["Result"]
@@ -191,15 +191,16 @@ class Result:
             The figure that was made; None with axes of your own.
         """
         from necc_casadi.report import figures
+        from necc_casadi.report.ticks import finished
 
         made, found = self.findings.finished[0], self.findings.responses
-        return _on(
-            ax,
-            show,
-            figures.shown_over_time(made, found),
-            lambda axis, name: figures.draw_over_time(axis, made, found, name),
-            lambda: figures.responses_figure(made, found),
-        )
+
+        def draw(axis: Axes, name: str) -> None:
+            figures.draw_over_time(axis, made, found, name)
+            finished(axis, [("x", "time", "s")])
+
+        known = figures.shown_over_time(made, found)
+        return _on(ax, show, known, draw, lambda: figures.responses_figure(made, found))
 
     def plot_comparison(self, ax: Any = None, show: str | Sequence[str] | None = None) -> Any:
         """The step and the loop beside LQR, with ``compare=True``.
@@ -291,9 +292,9 @@ class Result:
 
     def __repr__(self) -> str:
         """One line: the plant, the outcome, the target."""
-        from necc_casadi.report.to_text import headline, target_text
+        from necc_casadi.report.to_text import in_short, target_text
 
-        return f"<Result {headline(self.findings)}; {target_text(self.findings)}>"
+        return f"<Result {in_short(self.findings)}; {target_text(self.findings)}>"
 
     def _repr_html_(self) -> str:
         from necc_casadi.report.page import fragment

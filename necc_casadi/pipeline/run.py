@@ -11,18 +11,16 @@ import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import sympy as sp
 
-from necc_casadi.certificate.claims.certificate import Certificate
-from necc_casadi.designs.design import Design
-from necc_casadi.designs.outcome import Start
-from necc_casadi.designs.plant_file import PLANT_FILE, plant_text
 from necc_casadi.errors import InputError
 from necc_casadi.files import LISTING, check_writable, write_text
 from necc_casadi.folders import whole_folder
+from necc_casadi.interrupts import uninterrupted
 from necc_casadi.methods.find import Found, find_method
 from necc_casadi.methods.method import Method
 from necc_casadi.model.model_file import Model
@@ -50,7 +48,10 @@ from necc_casadi.report.sweep_point import SweepPoint
 from necc_casadi.synthesis.options import Options
 
 if TYPE_CHECKING:  # what --check does not need is loaded when it is reached
+    from necc_casadi.certificate.claims.certificate import Certificate
     from necc_casadi.choice.choose import Choice
+    from necc_casadi.designs.design import Design
+    from necc_casadi.designs.outcome import Start
     from necc_casadi.export.sampled_loop import SampledLoop
     from necc_casadi.performance.measure import Performance
     from necc_casadi.simulation.responses import Trajectory
@@ -105,6 +106,7 @@ def run_design(request: Request, say: Say) -> Findings:
     )
     if task.found.chosen is None or request.check:
         return found
+    _load_designs()
     if request.out is None:
         choice, task = _chosen(task, clock)
         return _studied(request, task, found, choice, clock)
@@ -116,6 +118,12 @@ def run_design(request: Request, say: Say) -> Findings:
             )
             found = _studied(request, task, found, choice, clock)
             return _written(request, found, folder, exported.result, clock)
+
+
+def _load_designs() -> None:
+    """Load what designs are made of, CasADi among it: while it starts, it swallows a Ctrl-C."""
+    with uninterrupted():
+        import_module("necc_casadi.designs.design")
 
 
 def write_run(request: Request, found: Findings, out: Path, say: Say) -> Findings:
@@ -195,6 +203,8 @@ def _written(
         write_text(folder / "certificate.json", certificate.to_json()),
     ]
     if found.parametric is not None:
+        from necc_casadi.designs.plant_file import PLANT_FILE, plant_text
+
         saved.append(write_text(folder / PLANT_FILE, plant_text(made, found.parametric)))
     drawn = _drawn(request, found, folder, clock)
     files = [path.relative_to(folder).as_posix() for path in (*saved, *exported(), *drawn)]

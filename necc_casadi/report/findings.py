@@ -9,11 +9,6 @@ from typing import TYPE_CHECKING
 
 import sympy as sp
 
-from necc_casadi.certificate.claims.certificate import Certificate
-from necc_casadi.certificate.claims.claim import Claim
-from necc_casadi.designs.design import Design
-from necc_casadi.designs.error_bound import ACCEPTED_LOSS, natural_loss
-from necc_casadi.designs.measures import Measures, measure
 from necc_casadi.errors import OptionError
 from necc_casadi.methods.find import Found
 from necc_casadi.methods.method import Method
@@ -22,7 +17,11 @@ from necc_casadi.model.parametric import Parametric
 from necc_casadi.report.sweep_point import SweepPoint
 
 if TYPE_CHECKING:  # a verdict alone needs none of these
+    from necc_casadi.certificate.claims.certificate import Certificate
+    from necc_casadi.certificate.claims.claim import Claim
     from necc_casadi.choice.choose import Choice
+    from necc_casadi.designs.design import Design
+    from necc_casadi.designs.measures import Measures
     from necc_casadi.export.sampled_loop import SampledLoop
     from necc_casadi.performance.measure import Performance
     from necc_casadi.simulation.responses import Trajectory
@@ -61,6 +60,8 @@ class Findings:
     @cached_property
     def measures(self) -> Measures | None:
         """What the design reached."""
+        from necc_casadi.designs.measures import measure
+
         return None if self.design is None else measure(self.design)
 
     @property
@@ -88,6 +89,8 @@ class Findings:
         if self.design is None:
             known = self.method is not None and self.method.verdict.assignable
             return "assignable" if known else "undecided"
+        from necc_casadi.designs.error_bound import ACCEPTED_LOSS, natural_loss
+
         certified = self.certificate is not None and self.certificate.certified
         certified = certified and (self.asked is None or self.asked.met)
         fit = certified and natural_loss(self.design) <= ACCEPTED_LOSS and not self.faults

@@ -8,10 +8,6 @@ import sympy as sp
 
 from necc_casadi.arrays import Vector
 from necc_casadi.casimirs.casimirs import Casimirs
-from necc_casadi.certificate.claims.certificate import Certificate
-from necc_casadi.designs.design import Design
-from necc_casadi.designs.measures import Measures
-from necc_casadi.designs.outcome import Start
 from necc_casadi.files import finite
 from necc_casadi.methods.method import Method
 from necc_casadi.model.shaped_loop import ShapedLoop
@@ -22,8 +18,12 @@ from necc_casadi.symbolic.floats import to_float, to_floats
 from necc_casadi.verdict.verdict import Verdict
 
 if TYPE_CHECKING:
+    from necc_casadi.certificate.claims.certificate import Certificate
     from necc_casadi.choice.choose import Choice
     from necc_casadi.choice.judged import Judged
+    from necc_casadi.designs.design import Design
+    from necc_casadi.designs.measures import Measures
+    from necc_casadi.designs.outcome import Start
     from necc_casadi.performance.measure import Performance, Rating
     from necc_casadi.simulation.responses import Trajectory
     from necc_casadi.synthesis.asked import Asked

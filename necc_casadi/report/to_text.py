@@ -12,11 +12,6 @@ import numpy as np
 import sympy as sp
 
 from necc_casadi.casimirs.casimirs import Casimirs
-from necc_casadi.certificate.claims.certificate import Certificate
-from necc_casadi.certificate.claims.claim import Claim
-from necc_casadi.designs.design import Design
-from necc_casadi.designs.measures import Measures
-from necc_casadi.designs.outcome import Residual
 from necc_casadi.model.modulated import System
 from necc_casadi.report.asked import asked_text, missed
 from necc_casadi.report.compared import comparison, error_lines
@@ -27,7 +22,12 @@ from necc_casadi.symbolic.floats import to_float
 from necc_casadi.verdict.verdict import Verdict
 
 if TYPE_CHECKING:
+    from necc_casadi.certificate.claims.certificate import Certificate
+    from necc_casadi.certificate.claims.claim import Claim
     from necc_casadi.choice.judged import Judged
+    from necc_casadi.designs.design import Design
+    from necc_casadi.designs.measures import Measures
+    from necc_casadi.designs.outcome import Residual
     from necc_casadi.export.sampled_loop import SampledLoop
     from necc_casadi.performance.measure import Performance
 
@@ -35,6 +35,7 @@ __all__ = [
     "brief",
     "facts",
     "headline",
+    "in_short",
     "mark",
     "percent",
     "rounded_down",
@@ -88,6 +89,14 @@ def summary(found: Findings, width: int = _WIDTH, *, verbose: bool = False) -> s
 def headline(found: Findings) -> str:
     """The plant and the outcome; what is wrong comes first."""
     return f"{found.system.name}: {_outcome(found)}"
+
+
+def in_short(found: Findings) -> str:
+    """The same without the words of warnings: how many there are."""
+    count = len(found.warnings)
+    if found.status != "certified" or not count:
+        return headline(found)
+    return f"{found.system.name}: certified, with {count} warning{'s' if count > 1 else ''}"
 
 
 def facts(found: Findings) -> list[tuple[str, str]]:

@@ -46,7 +46,7 @@ def _modular_nullspace(matrix: Residues, prime: int) -> tuple[list[int], npt.NDA
     entries = [int(v) for v in reduced.entries()[: size * columns]]
     table = np.array(entries, dtype=np.int64).reshape(size, columns)
     leading = np.argmax(table != 0, axis=1) if size else np.zeros(0, dtype=np.int64)
-    free = np.setdiff1d(np.arange(columns), leading)
+    free = np.flatnonzero(~np.isin(np.arange(columns), leading))
     basis = np.zeros((len(free), columns), dtype=np.int64)
     basis[np.arange(len(free)), free] = 1
     basis[:, leading] = (-table[:, free] % prime).T

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import get_args
+from typing import TYPE_CHECKING, get_args
 
 import numpy as np
 
 from necc_casadi.arrays import Vector
 from necc_casadi.cases import Activation, CasimirForm, InitialXi, PhiForm, Shape
 from necc_casadi.errors import OptionError
-from necc_casadi.lyapunov.networks import MonotonePhi, Network
-from necc_casadi.lyapunov.parameterization import Form
 from necc_casadi.model.cost import QuadraticCost, bryson
 from necc_casadi.model.sizes import Sizes
+
+if TYPE_CHECKING:  # a verdict alone needs no CasADi
+    from necc_casadi.lyapunov.networks import Network
+    from necc_casadi.lyapunov.parameterization import Form
 
 __all__ = ["Level", "Options", "Regulariser", "check_options", "form_of", "paper_options"]
 
@@ -224,6 +226,8 @@ def _check_polish(options: Options) -> None:
 
 def form_of(options: Options, nc: int, r: int) -> Form:
     """The networks of V for nc controller states and r Casimirs."""
+    from necc_casadi.lyapunov.networks import MonotonePhi, Network
+    from necc_casadi.lyapunov.parameterization import Form
 
     def network(inputs: int, hidden: tuple[int, ...], quadratic: bool) -> Network:
         return Network(inputs, hidden, options.activation, quadratic)

@@ -108,6 +108,34 @@ def test_interrupting_leaves_nothing_half_written(tmp_path, delay):
     assert not list(tmp_path.rglob(".*"))
 
 
+SWALLOWED = """
+import os, signal, sys
+from necc_casadi.cli.design import design_command
+class Finder:
+    def find_spec(self, name, *_):
+        if name == "casadi":
+            try:  # as CasADi itself: it has bare excepts where it starts
+                os.kill(os.getpid(), signal.SIGINT)
+                sum(range(1000))
+            except BaseException:
+                pass
+signal.signal(signal.SIGINT, signal.default_int_handler)
+sys.meta_path.insert(0, Finder())
+design_command()
+"""
+
+
+def test_an_interrupt_while_casadi_is_loaded_is_not_lost(tmp_path):
+    """The run ends there, before anything is designed or written."""
+    arguments = [str(model(tmp_path, "")), "--target", "pi/4", "--no-plots", "--out", "out"]
+    done = subprocess.run(
+        [sys.executable, "-c", SWALLOWED, *arguments],
+        capture_output=True, text=True, cwd=tmp_path, timeout=120,
+    )  # fmt: skip
+    assert done.returncode == 130, done.stderr
+    assert not (tmp_path / "out").exists()
+
+
 def test_an_interrupt_while_a_redirection_ends_leaves_stdout_to_the_result():
     """`contextlib.redirect_stdout` may not get to the end of its own exit."""
 

@@ -16,7 +16,7 @@ from html5lib import HTMLParser
 from matplotlib.figure import Figure
 
 import necc_casadi
-from necc_casadi import Design, RunOptions, make_plant, run
+from necc_casadi import Design, RunOptions, make_model, make_plant, run
 from necc_casadi.cli.design import _design
 from necc_casadi.errors import ModelError, OptionError
 from necc_casadi.pipeline.request import Choices, Request
@@ -73,6 +73,39 @@ def test_a_plant_of_a_notebook():
         found.loop_transfer()
 
 
+def test_a_mechanical_plant_of_a_notebook_is_that_of_its_file(tmp_path):
+    q, m, g = sp.symbols("q m g")
+    V = m * g * (1 - sp.cos(q))
+    model = make_model(q=q, M=m, V=V, B=1, params={m: 2, g: 9.81}, u_limits=[(-40, 40)])
+    text = """
+import sympy as sp
+q, m, g = sp.symbols("q m g")
+M, V, B = m, m * g * (1 - sp.cos(q)), 1
+params = {m: 2, g: 9.81}
+u_limits = [(-40, 40)]
+name = "plant"
+"""
+    (tmp_path / "file.py").write_text(text, encoding="utf-8")
+    mine, file = (run(own, "pi/4", **SMALL) for own in (model, tmp_path / "file.py"))
+    assert mine.status == "certified"
+    assert mine.design.text == file.design.text
+    assert repr(mine) == "<Result plant: certified, with 1 warning; q = pi/4, p_q = 0>"
+    assert " starts ask for |u|" in mine.summary()
+
+
+@pytest.mark.parametrize(
+    ("names", "message"),
+    [
+        ({"q": sp.Symbol("q"), "M": 1, "V": 0}, "make_model does not define x, J, R, G, H"),
+        ({"frction": 1}, "no model has a name frction\nDid you mean friction"),
+        ({"colour": 1}, "no model has a name colour\nNames: x, J, R, G, H, q, M, V, B, friction"),
+    ],
+)
+def test_a_model_that_lacks_or_misspells_a_name_is_refused(names, message):
+    with pytest.raises(ModelError, match=message):
+        make_model(**names)
+
+
 def test_a_refusal_is_a_value():
     found = run(PENDULUM, target=(0, 1))
     assert (found.status, found.exit_code, found.claims) == ("refused", 3, ())
@@ -100,6 +133,7 @@ def test_plots_on_axes_of_ones_own(result):
     for line, response in zip(axes[0].lines, result.responses, strict=False):
         np.testing.assert_array_equal(line.get_ydata(), response.z[:, 0])
     assert [axis.get_ylabel() for axis in axes] == ["q [rad]", "u", "V − V(z̄)"]
+    assert {axis.get_xlabel() for axis in axes} == {"time [s]"}
     (gain,) = [Figure().add_subplot()]
     result.plot_comparison(ax=gain, show="gain")
     loop = result.performance.loops[0]
