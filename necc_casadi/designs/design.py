@@ -28,6 +28,7 @@ from necc_casadi.files import refuse_unfinished, write_text
 from necc_casadi.lyapunov.lyapunov import LyapunovFunction, make_terms
 from necc_casadi.lyapunov.opened_loop import opened_at_the_input
 from necc_casadi.model.domain import Domain, domain_of
+from necc_casadi.model.measurement import Measurement
 from necc_casadi.model.sizes import input_names
 from necc_casadi.symbolic.floats import to_floats
 from necc_casadi.verdict.verdict import STABLE
@@ -104,12 +105,24 @@ class Design(Parts):
         """(x*, ξ*) in double precision, (n + nc,)."""
         return np.concatenate([to_floats(self.x_star), self.xi_star])
 
+    @cached_property
+    def measurement(self) -> Measurement:
+        """What the controller takes: the states of the plant, or (q, q̇)."""
+        return Measurement(self.loop.plant)
+
     def control(self, x: npt.ArrayLike, xi: npt.ArrayLike) -> tuple[Vector, Vector]:
-        """The controller: plant state (n,), controller state (nc,) -> u (m,), ξ̇ (nc,)."""
-        return self.lyapunov.control_law(x, xi)
+        """The controller: what is measured (n,), controller state (nc,) -> u (m,), ξ̇ (nc,).
+
+        Measured are the plant's states, or (q, q̇): ``measurement.names``.
+        """
+        return self.lyapunov.control_law(self.lyapunov.state(x), xi)
 
     def xi_at_start(self, x0: npt.ArrayLike) -> Vector:
-        """ξ(0) of this design for a measured plant state (n,), (nc,); ``necc_start`` in C.
+        """ξ(0) of this design for the first measurement (n,), (nc,); ``necc_start`` in C."""
+        return self.xi_at_state(self.lyapunov.state(x0))
+
+    def xi_at_state(self, x0: npt.ArrayLike) -> Vector:
+        """ξ(0) of this design for a plant state (n,), (nc,).
 
         With "target" the controller keeps at first what it keeps at z*, with "linear" T(x0 − x*) on
         top: ξ is γ(x0) more, which is 0 in the published loop.

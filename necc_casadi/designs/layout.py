@@ -88,6 +88,7 @@ def to_dict(design: Parts) -> dict[str, Any]:
         **{key: text(getattr(plant, key)) for key in ("J", "R", "G", "H")},
         **_controller_text(design.loop, text),
         **_preliminary_text(plant, text),
+        **({} if plant.inertia is None else {"inertia": text(plant.inertia)}),
         "units": dict(plant.units),
         "domain": {name: text(bounds) for name, bounds in plant.domain.items()},
         "u_limits": plant.u_limits,
@@ -218,6 +219,8 @@ def check_whole(design: Parts, data: Mapping[str, Any]) -> None:
         wanted = ((n + nc,), (m,), (), (), (r,))
         for name, shape in zip(_SIZES, wanted, strict=True):
             shapes[f"{label}: {name}"] = (np.asarray(getattr(group, name)), shape)
+    if plant.inertia is not None and plant.inertia.shape != (n // 2, n - n // 2):
+        raise ValueError("the inertia does not fit the momenta")
     if design.initial_gain is not None:
         shapes["initial_gain"] = (design.initial_gain, (nc, n))
     for name, (values, shape) in shapes.items():
@@ -296,6 +299,7 @@ def from_dict(data: Mapping[str, Any]) -> Parts:
         preliminary=None
         if "preliminary" not in model
         else _ahead_of({k: matrix(model["preliminary"][k]) for k in _PRELIMINARY}),
+        inertia=matrix(model["inertia"]) if "inertia" in model else None,
     )
     if "gamma" in model:
         gamma = read(model["gamma"])

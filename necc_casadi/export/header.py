@@ -68,6 +68,7 @@ def header(source: Source) -> str:
         limits="" if plant.u_limits else "; never: the model has no limits",
         start_text=_START[design.initial_xi],
         order=_order(source),
+        measured=_measured(source),
         real=source.real,
         integrator_name=_METHODS[source.integrator],
         guard=f"NECC_DESIGN_{design.hash[:16]}",
@@ -109,12 +110,24 @@ def _sampling(source: Source) -> str:
     return "\n/* " + ";\n * ".join(lines) + ". */"
 
 
+def _measured(source: Source) -> str:
+    """What x of the functions is."""
+    if not source.measures_velocity:
+        return " * x is the state of the plant, all of it measured."
+    return (
+        " * x is measured: coordinates and their rates. Momenta of a model or of an observer will\n"
+        " * not do: with other masses than the plant's they are not rates times masses."
+    )
+
+
 def _order(source: Source) -> str:
     loop = source.design.loop
     inputs = [f"input {i + 1}" for i in range(source.m)]
-    arrays = {"x": loop.plant.states, "xi": loop.controller.states, "u": inputs}
+    measured = source.design.measurement
+    known = {**loop.plant.units, **measured.units}
+    arrays = {"x": measured.names, "xi": loop.controller.states, "u": inputs}
     return "\n".join(
-        f" *   {array}[{i}]  {comment(name)}{_unit(loop.plant.units.get(name))}"
+        f" *   {array}[{i}]  {comment(name)}{_unit(known.get(name))}"
         for array, names in arrays.items()
         for i, name in enumerate(names)
     )

@@ -115,6 +115,11 @@ class Source:
         return isinstance(self.design.loop, ShapedLoop)
 
     @property
+    def measures_velocity(self) -> bool:
+        """Whether the code takes q̇ where the model has momenta."""
+        return self.design.measurement.of_velocities
+
+    @property
     def neural_phi(self) -> bool:
         """Whether Φ is a network; else Φ = H + Hc + C and Φ₁ = Φ₂ = 1."""
         return self.design.form.phi is not None

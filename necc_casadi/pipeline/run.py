@@ -296,12 +296,12 @@ class _Motion:
 def _simulated(made: Design, clock: Clock) -> _Motion:
     """Simulate, for no longer than somebody waits."""
     from necc_casadi.simulation.convergence import simulated_share
-    from necc_casadi.simulation.responses import random_states, simulate
+    from necc_casadi.simulation.responses import random_states, response_from
 
     with clock.stage("simulate", "simulating"):
         ends = time.perf_counter() + _PATIENCE
         responses = tuple(
-            simulate(made, x0, patience=max(0.0, ends - time.perf_counter()))
+            response_from(made, x0, patience=max(0.0, ends - time.perf_counter()))
             for x0 in random_states(made, _RESPONSES, made.seed)
         )
         return _Motion(responses, simulated_share(made, made.momenta, made.seed))

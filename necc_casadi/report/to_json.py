@@ -14,6 +14,7 @@ from necc_casadi.designs.measures import Measures
 from necc_casadi.designs.outcome import Start
 from necc_casadi.files import finite
 from necc_casadi.methods.method import Method
+from necc_casadi.model.measurement import measured_names
 from necc_casadi.model.shaped_loop import ShapedLoop
 from necc_casadi.report.asked import asked_text
 from necc_casadi.report.findings import Findings
@@ -37,7 +38,11 @@ def to_json(found: Findings) -> dict[str, Any]:
     held = method or published
     data: dict[str, Any] = {
         "status": found.status,
-        "plant": {"states": list(system.states), "inputs": system.m},
+        "plant": {
+            "states": list(system.states),
+            "inputs": system.m,
+            "measured": list(measured_names(system)),
+        },
         "controller": None if held is None else {"states": list(held.loop.controller.states)},
         "target": {str(s): to_float(found.x_star[s]) for s in system.x},
         "verdict": None if published is None else _verdict(published.verdict, published.casimirs),

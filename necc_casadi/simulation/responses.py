@@ -16,7 +16,14 @@ from necc_casadi.designs.design import Design
 from necc_casadi.interrupts import interruptible
 from necc_casadi.simulation.saturated import applied, saturated_field
 
-__all__ = ["SETTLED", "Trajectory", "default_horizon", "random_states", "simulate"]
+__all__ = [
+    "SETTLED",
+    "Trajectory",
+    "default_horizon",
+    "random_states",
+    "response_from",
+    "simulate",
+]
 
 
 #: A response has settled when it stays within this share of its first distance from z̄.
@@ -71,6 +78,14 @@ class Trajectory:
     size: Vector | float = 1.0  # (n + nc,) natural sizes, for distances
     cut: bool = False  # the time for computing was over
     demand: Vector | None = None  # (N, m) what the law asked for; None: u
+    measured: Vector | None = None  # (N, n) what the controller takes; None: the plant's states
+
+    @property
+    def shown(self) -> Vector:
+        """(N, n + nc): what the controller takes, then its states."""
+        if self.measured is None:
+            return self.z
+        return np.hstack([self.measured, self.z[:, self.measured.shape[1] :]])
 
     @property
     def settling_time(self) -> float:
@@ -106,9 +121,9 @@ class Trajectory:
         return self.demand is not None and bool(np.any(np.abs(self.demand - self.u) > 0))
 
     def csv(self, names: Sequence[str]) -> str:
-        """The response as CSV with a header: t, states, inputs, V."""
+        """The response as CSV with a header: t, what is measured, ξ, inputs, V."""
         header = ["t", *names, *[f"u{i + 1}" for i in range(self.u.shape[1])], "V"]
-        rows = np.column_stack([self.t, self.z, self.u, self.V])
+        rows = np.column_stack([self.t, self.shown, self.u, self.V])
         lines = [",".join(header), *[",".join(map(repr, map(float, row))) for row in rows]]
         return "\n".join(lines) + "\n"
 
@@ -154,7 +169,7 @@ def simulate(
     design
         The design.
     x0
-        Plant state (n,).
+        What is measured at first, (n,): the plant's state, or (q, q̇).
     xi0
         Controller state (nc,); by default the one of the design, as ``necc_start`` sets it.
     time
@@ -184,9 +199,23 @@ def simulate(
     >>> bool(abs(response.z[-1] - made.z_bar).max() < 1e-2)
     True
     """
+    at = design.lyapunov.state(x0)
+    return response_from(design, at, xi0, time=time, points=points, patience=patience)
+
+
+def response_from(
+    design: Design,
+    x0: npt.ArrayLike,
+    xi0: npt.ArrayLike | None = None,
+    *,
+    time: float | None = None,
+    points: int = 501,
+    patience: float = np.inf,
+) -> Trajectory:
+    """The same from a state of the plant, (n,), whatever is measured of it."""
     natural, units = design.natural, design.units
     V = natural.lyapunov
-    xi = design.xi_at_start(x0) if xi0 is None else np.asarray(xi0, float)
+    xi = design.xi_at_state(x0) if xi0 is None else np.asarray(xi0, float)
     z0 = np.concatenate([np.asarray(x0, float), xi]) / units.state
     horizon = default_horizon(design) if time is None else float(time)
     grid = np.linspace(0.0, horizon, points)
@@ -204,6 +233,9 @@ def simulate(
         size=design.sizes.state,
         cut=cut,
         demand=demand,
+        measured=design.lyapunov.measured(states[:, :n] * units.state[:n])
+        if design.measurement.of_velocities
+        else None,
     )
 
 

@@ -131,7 +131,7 @@ class OtherPlants:
         rest = self.at_rest(theta)
         times, peak = np.full(len(starts), np.inf), np.zeros(self.design.loop.plant.m)
         for index, x0 in enumerate(starts):
-            kept = self.design.lyapunov.stored(x0, self.design.xi_at_start(x0))
+            kept = self.design.lyapunov.stored(x0, self.design.xi_at_state(x0))
             z0 = np.concatenate([np.asarray(x0, float), kept]) / units.state
             z = self._response(z0, theta)
             u = np.asarray(self._field.call([z.T, np.tile(theta[:, None], len(z))])[1], float)

@@ -19,6 +19,7 @@ from necc_casadi.certificate.checker.equilibrium import check_equilibrium
 from necc_casadi.certificate.checker.evidence import Checked, Evidence
 from necc_casadi.certificate.checker.global_stability import check_global
 from necc_casadi.certificate.checker.input_limits import check_clipping, check_input_limits
+from necc_casadi.certificate.checker.measurement import check_measurement
 from necc_casadi.certificate.checker.model import StoredDesign
 from necc_casadi.certificate.checker.reading import (
     check_design,
@@ -98,7 +99,8 @@ def _everything(evidence: Evidence) -> list[Checked]:
     equilibrium, decrease = check_equilibrium(evidence), check_decrease(evidence)
     sound = equilibrium.holds and all(part.holds for part in decrease)
     settled = _settled(evidence, sound)
-    results = [equilibrium, *decrease, settled]
+    measured = check_measurement(evidence)
+    results = [equilibrium, *decrease, *(() if measured is None else (measured,)), settled]
     region = certificate.region
     proof, region_holds = None if region is None else region_proof(evidence, region), False
     if "region" in evidence.claims or certificate.region is not None:

@@ -49,6 +49,12 @@ class StoredDesign:
         )
         self.G = self._matrix(model["G"], x, lambda i, j: T * U[j] / plant[i])
         self.m = self.G.cols
+        self.inertia: sp.Matrix | None = None
+        if "inertia" in model:
+            k = self.n // 2
+            self.inertia = self._matrix(
+                model["inertia"], x[:k], lambda i, j: plant[j] / (T * plant[k + i])
+            )
         self.loop: StoredLoop
         if "gamma" in model:
             pairs = zip(model["gamma"], inner, strict=True)

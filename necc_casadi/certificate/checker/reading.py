@@ -160,6 +160,7 @@ def _written(model: Mapping[str, Any]) -> list[str]:
     matrices = [model[key] for key in ("J", "R", "G", *own)]
     gamma = _texts(model["gamma"]) if "gamma" in model else []
     matrices += dict(model["preliminary"]).values() if "preliminary" in model else []
+    matrices += [model["inertia"]] if "inertia" in model else []
     rows = [row for matrix in matrices for row in matrix] + list(dict(model["domain"]).values())
     return _texts([model["H"], *gamma, *(entry for row in rows for entry in _texts(row))])
 

@@ -22,6 +22,9 @@ __all__ = [
     "DECREASE",
     "GLOBAL",
     "MATCHING",
+    "MEASURED_OF_ANY_MASS",
+    "MEASURED_OF_THIS_MASS",
+    "NOT_MEASURED",
     "NO_NEIGHBOURHOOD",
     "NO_REGION",
     "ONLY_STABLE",
@@ -67,6 +70,23 @@ DECREASE = (
     "V never increases along the continuous-time, unsaturated loop, wherever the model is "
     "defined and for every damping with a symmetric part ≻ 0"
 )
+
+
+#: Of a controller that takes q̇ in place of the momenta.
+MEASURED_OF_ANY_MASS = (
+    "the controller takes (q, q̇), and neither inertia nor potential nor friction stands in it: "
+    "with any others, the inertia ≻ 0 and the friction ⪰ 0 in the momenta, the V made of their "
+    "energy decreases as well"
+)
+
+
+MEASURED_OF_THIS_MASS = (
+    "the controller takes (q, q̇) and p = M q̇ with the inertia of the model: what is claimed of "
+    "(q, p) holds for that inertia"
+)
+
+
+NOT_MEASURED = "q̇ is not proved to be what the controller takes for the momenta"
 
 
 #: Of z̄ where the exact verdict at the target, which is no part of the proof, expects no more.
@@ -200,6 +220,7 @@ def unproved(limits: Sequence[Sequence[float]]) -> Mapping[str, frozenset[str]]:
         "input_limits": frozenset([no_limits(limits)]),
         "clipping": frozenset([no_clipping(limits), CLIPPING_IS_NOT_COVERED]),
         "global": frozenset(map(not_global, get_args(Missing))),
+        "measurement": frozenset([NOT_MEASURED]),
     }
 
 

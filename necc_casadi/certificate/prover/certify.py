@@ -28,6 +28,7 @@ from necc_casadi.certificate.prover.decrease import prove_decrease
 from necc_casadi.certificate.prover.equilibrium import Equilibrium, prove_equilibrium
 from necc_casadi.certificate.prover.global_stability import prove_global_stability
 from necc_casadi.certificate.prover.input_limits import clipping_is_covered, holds_everywhere
+from necc_casadi.certificate.prover.measurement import prove_measurement
 from necc_casadi.certificate.prover.region.proof import RegionProof
 from necc_casadi.certificate.prover.region.region import prove_region, prove_region_within_limits
 from necc_casadi.certificate.prover.solutions import what_follows
@@ -101,7 +102,12 @@ def _local(
 ) -> tuple[tuple[Claim, ...], Stability | None]:
     """What holds near z̄, and the kind of stability that follows."""
     decrease = prove_decrease(design)
-    claims = (_equilibrium_claim(equilibrium), *decrease.claims)
+    measured = prove_measurement(design)
+    claims = (
+        _equilibrium_claim(equilibrium),
+        *decrease.claims,
+        *(() if measured is None else (measured,)),
+    )
     attraction = prove_attraction(potential, equilibrium, decrease.casimir, design.units.time)
     if not (equilibrium.proved and decrease.decrease.holds):
         return (*claims, attraction), None

@@ -21,6 +21,7 @@
 
 /* Order and units:
 @order@
+@measured@
  */
 
 #ifdef __cplusplus
