@@ -14,12 +14,14 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
 from necc_casadi.arrays import Vector
 from necc_casadi.casimirs.momenta import find_momenta
 from necc_casadi.designs.initial import least_over_xi
+from necc_casadi.designs.integral import with_integrators
 from necc_casadi.designs.layout import BROKEN, DESIGN_FORMAT, check_whole, from_dict, to_dict
 from necc_casadi.designs.natural import natural_parts
 from necc_casadi.designs.parts import Parts
@@ -113,7 +115,8 @@ class Design(Parts):
     def control(self, x: npt.ArrayLike, xi: npt.ArrayLike) -> tuple[Vector, Vector]:
         """The controller: what is measured (n,), controller state (nc,) -> u (m,), ξ̇ (nc,).
 
-        Measured are the plant's states, or (q, q̇): ``measurement.names``.
+        Measured are the plant's states, or (q, q̇): ``measurement.names``. The ζ of integral action
+        comes off u; ``measured_controller`` has it with its rate.
         """
         return self.lyapunov.control_law(self.lyapunov.state(x), xi)
 
@@ -194,11 +197,34 @@ class Design(Parts):
         return np.concatenate([x, self.lyapunov.stored(x, xi)])
 
     @cached_property
+    def controller(self) -> ca.Function:
+        """(x, kept) -> (u, rate): the law with what it keeps, s and the ζ of integral action."""
+        k = self.loop.plant.n // 2
+        return with_integrators(self.lyapunov, self.integral, self.z_star[:k])
+
+    @cached_property
+    def measured_controller(self) -> ca.Function:
+        """The same at what is measured."""
+        k = self.loop.plant.n // 2
+        return with_integrators(self.lyapunov, self.integral, self.z_star[:k], measured=True)
+
+    @cached_property
     def spectrum(self) -> npt.NDArray[np.complex128]:
-        """Eigenvalues of the linearisation at z̄, (n + nc,), 1/s."""
+        """Eigenvalues of the linearisation at z̄, (n + nc,), and m more with ζ, 1/s."""
         natural = self.natural
-        values = np.linalg.eigvals(natural.lyapunov.linearisation(natural.z_bar))
-        return np.asarray(values / self.units.time, complex)
+        A = natural.lyapunov.linearisation(natural.z_bar)
+        if natural.integral is not None:
+            A = natural._with_integral_action()
+        return np.asarray(np.linalg.eigvals(A) / self.units.time, complex)
+
+    def _with_integral_action(self) -> Vector:
+        """∂/∂(x, ξ, ζ) of the loop at rest."""
+        terms, n, m = self.lyapunov.terms, self.loop.plant.n, self.loop.plant.m
+        w = ca.MX.sym("w", self.loop.n + m)
+        u, rate = self.controller.call([w[:n], w[n:]])
+        slope = ca.vertcat(terms.drift(w[:n]) + terms.directions(w[:n]) @ u, rate)
+        jacobian = ca.Function("A", [w], [ca.jacobian(slope, w)])
+        return np.asarray(jacobian(np.concatenate([self.z_bar, np.zeros(m)])), float)
 
     @property
     def abscissa(self) -> float:
@@ -258,8 +284,6 @@ class Design(Parts):
         )
 
     def _port_jacobian(self, z: Vector) -> Vector:
-        import casadi as ca
-
         terms = self.lyapunov.terms
         s = ca.MX.sym("z", z.size)
         energy = self.form.controller_energy(ca.DM(self.weights))(s[terms.n :])

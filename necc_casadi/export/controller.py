@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import casadi as ca
 
+from necc_casadi.designs.integral import integral_rate
 from necc_casadi.export.casadi2c import c_function
 from necc_casadi.export.margin import has_margin, margin_code, margin_takes_momenta
 from necc_casadi.export.networks import LANES, CNetwork, c_network, kernels, width
@@ -52,8 +53,27 @@ def controller(source: Source) -> str:
         init_at=_init_at(source),
         start=indent(_start(source)),
         margin=margin_code(source),
+        **_integral(source),
     )
     return source.named(text)
+
+
+def _integral(source: Source) -> dict[str, str]:
+    """What integral action adds: its code, ζ at the start, off u, and after a sample."""
+    design, real = source.design, source.number
+    if design.integral is None:
+        return dict.fromkeys(("integral", "reset", "counter", "subtract", "integrate"), "")
+    x, q_star = ca.SX.sym("x", source.n), design.z_star[: source.n // 2]
+    rate = integral_rate(design.lyapunov, design.integral, q_star, measured=True)
+    leaf = c_function("integral_rate", [("x", x)], [("rate", rate(x))], real)
+    code = fill("integral.c", leaf=leaf, limit=real.literals(design.integral.limit))
+    return {
+        "integral": code,
+        "reset": "\n    memset(state->zeta, 0, sizeof state->zeta);",
+        "counter": "\n    int i;",
+        "subtract": "\n    for (i = 0; i < NECC_NU; ++i)\n        v[i] -= state->zeta[i];",
+        "integrate": "\n    integrate(x, dt, state->zeta);",
+    }
 
 
 def _networks(source: Source) -> list[CNetwork]:

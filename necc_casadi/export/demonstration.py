@@ -26,7 +26,7 @@ def demonstration(source: Source) -> str:
         c_function("measure", [("x", x)], [("y", measured.output(x))], real),
         c_function("model_state", [("y", x)], [("x", measured.state(x))], real),
     ]
-    inner = source.design.loop.controller.states
+    inner = [*source.design.loop.controller.states, *source.zeta_names]
     columns = [
         *source.design.measurement.names,
         *inner,

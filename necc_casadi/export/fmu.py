@@ -146,7 +146,7 @@ def _description(source: Source, guid: str, name: str) -> str:
 
 
 def _variables(root: ET.Element, source: Source, units: Sequence[str]) -> None:
-    """x, u, ξ, margin, flags, start_at_minimum; the order fixes the value references in fmu.c."""
+    """x, u, ξ, ζ, margin, flags, start_at_minimum; the order fixes the references in fmu.c."""
     design, loop, at_target = source.design, source.design.loop, _at_target(source)
     margin = ["margin"] if has_margin(source) else []
     variables = ET.SubElement(root, "ModelVariables")
@@ -187,7 +187,7 @@ def _variables(root: ET.Element, source: Source, units: Sequence[str]) -> None:
 
 def _structure(root: ET.Element, source: Source) -> None:
     """U and the margin depend on x; ξ and the flags only at the start."""
-    n, m, nc = source.n, source.m, source.nc
+    n, m, nc = source.n, source.m, source.nc + len(source.zeta_names)
     margin = {n + m + nc + 1} if has_margin(source) else set()
     structure = ET.SubElement(root, "ModelStructure")
     on_x = " ".join(str(i + 1) for i in range(n))

@@ -40,6 +40,8 @@ def _missing(source: Source) -> str | None:
     if certificate is None:
         return "no certificate came with the design"
     region = certificate.region
+    if source.design.integral is not None:
+        return "what integral action makes fall contains a constant that is not known"
     if region is None:
         if certificate.of_the_whole_space:
             return "what is proved holds from every state, below no level"

@@ -120,6 +120,11 @@ class Source:
         return self.design.measurement.of_velocities
 
     @property
+    def zeta_names(self) -> list[str]:
+        """Names of the entries of ζ; none without integral action."""
+        return [] if self.design.integral is None else [f"zeta{i + 1}" for i in range(self.m)]
+
+    @property
     def neural_phi(self) -> bool:
         """Whether Φ is a network; else Φ = H + Hc + C and Φ₁ = Φ₂ = 1."""
         return self.design.form.phi is not None

@@ -105,15 +105,13 @@ def run_design(request: Request, say: Say) -> Findings:
     if task.found.chosen is None or request.check:
         return found
     if request.out is None:
-        choice, task = _chosen(task, clock)
-        return _studied(request, task, found, choice, clock)
+        kept, task = _kept(request, task, clock)
+        return _studied(request, task, found, kept, clock)
     with whole_folder(request.out, _expected(request)) as folder:
-        choice, task = _chosen(task, clock)
+        kept, task = _kept(request, task, clock)
         with ThreadPoolExecutor(1) as pool:  # compilers run while the loop is simulated and drawn
-            exported = pool.submit(
-                _exported, request, choice.design, choice.certificate, folder, clock
-            )
-            found = _studied(request, task, found, choice, clock)
+            exported = pool.submit(_exported, request, kept.design, kept.certificate, folder, clock)
+            found = _studied(request, task, found, kept, clock)
             return _written(request, found, folder, exported.result, clock)
 
 
@@ -143,14 +141,13 @@ def _expected(request: Request) -> tuple[str, ...]:
     return (*_EXPECTED, *figures)
 
 
-def _studied(
-    request: Request, task: _Task, found: Findings, choice: Choice, clock: Clock
-) -> Findings:
+def _studied(request: Request, task: _Task, found: Findings, kept: _Kept, clock: Clock) -> Findings:
     """What is to be known of the design that is kept, nothing written."""
     from necc_casadi.performance.shares import sampled_share
 
-    made, certificate = choice.design, choice.certificate
-    motion, share = _simulated(made, clock), sampled_share(made, certificate)
+    made, certificate, choice = kept.design, kept.certificate, kept.choice
+    motion = _simulated(made, clock)
+    share = sampled_share(made, certificate) if made.integral is None else None  # Ω is without ζ
     sweep: tuple[SweepPoint, ...] = ()
     if request.sweep_a is not None:
         sweep = _swept(request.sweep_a, task, choice.kept.options, clock)
@@ -161,12 +158,12 @@ def _studied(
         found=task.found,
         design=made,
         certificate=certificate,
-        choice=choice,
+        choice=choice if made.integral is None else None,
         responses=motion.responses,
         domain_share=share,
         simulated_share=motion.share,
         sampling=sampling,
-        asked=choice.kept.asked,
+        asked=choice.kept.asked if made.integral is None else None,
         performance=_compared(request, task, made, clock) if request.compare else None,
         sweep=sweep,
         notes=(
@@ -234,6 +231,11 @@ def _judged(request: Request, say: Say) -> _Task:
     )
     if options.learn_casimir and found.learnable is not None:
         found = replace(found, chosen=found.learnable)
+    if request.integral is not False and found.chosen is not None:
+        from necc_casadi.synthesis.integral import refuse_integral
+
+        method = found.chosen
+        refuse_integral(method.loop, method.casimirs.functions, options.phi == "sum")
     if found.chosen is not None and not is_plant:
         notes += check_model_at(found.chosen.loop, x_star)
     if found.published is not None:
@@ -283,6 +285,29 @@ def _chosen(task: _Task, clock: Clock) -> tuple[Choice, _Task]:
     choice, method, seconds = best_structure(methods, task.x_star, task.options, clock.say)
     clock.timings.update(seconds)
     return choice, replace(task, found=replace(task.found, chosen=method))
+
+
+@dataclass(frozen=True, eq=False)
+class _Kept:
+    """The design that is kept and what is proved of it, with why its V is the one that is kept."""
+
+    design: Design
+    certificate: Certificate
+    choice: Choice
+
+
+def _kept(request: Request, task: _Task, clock: Clock) -> tuple[_Kept, _Task]:
+    """The choice, with integral action on top where it is asked for."""
+    choice, task = _chosen(task, clock)
+    if request.integral is False:
+        return _Kept(choice.design, choice.certificate, choice), task
+    from necc_casadi.certificate.prover.certify import certify
+    from necc_casadi.synthesis.integral import with_integral
+
+    with clock.stage("integral", "adding integral action"):
+        tau = None if request.integral is True else float(request.integral)
+        made = with_integral(choice.design, tau)
+        return _Kept(made, certify(made), choice), task
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,6 +19,7 @@ from necc_casadi.certificate.checker.equilibrium import check_equilibrium
 from necc_casadi.certificate.checker.evidence import Checked, Evidence
 from necc_casadi.certificate.checker.global_stability import check_global
 from necc_casadi.certificate.checker.input_limits import check_clipping, check_input_limits
+from necc_casadi.certificate.checker.integral import check_integral
 from necc_casadi.certificate.checker.measurement import check_measurement
 from necc_casadi.certificate.checker.model import StoredDesign
 from necc_casadi.certificate.checker.reading import (
@@ -114,4 +115,7 @@ def _everything(evidence: Evidence) -> list[Checked]:
         results.append(check_clipping(evidence, proof, anywhere and settled.holds))
     if evidence.claimed("global") or certificate.is_global:
         results.append(check_global(evidence, settled.holds))
+    plain = all(part.holds for part in decrease) and measured is not None and measured.holds
+    integral = check_integral(evidence, plain)
+    results += [] if integral is None else [integral]
     return results

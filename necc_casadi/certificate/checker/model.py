@@ -23,6 +23,25 @@ from necc_casadi.symbolic.expressions import parse
 __all__ = ["StoredDesign"]
 
 
+class StoredIntegral:
+    """Integral action: τ in natural units, and the limits of ζ as they stand.
+
+    Raises
+    ------
+    ValueError
+        When a number is not positive, or not one for each input.
+    """
+
+    def __init__(self, data: Mapping[str, Any], scale: StoredUnits) -> None:
+        (tau,), self.gain, self.stated = (
+            numbers(v) for v in ([data["tau"]], data["gain"], data["limit"])
+        )
+        positive = all(0 < v < math.inf for v in (tau, *self.gain, *self.stated))
+        if not positive or not len(self.gain) == len(self.stated) == len(scale.input):
+            raise ValueError("integral action needs positive numbers, one for each input")
+        self.tau = tau / scale.time
+
+
 class StoredDesign:
     """design.json as expressions and exact numbers, measured in the natural units that it names.
 
@@ -94,6 +113,7 @@ class StoredDesign:
         u = scale.input
         self.damping = self._damping(data, u)
         self.weights = divided(numbers(data["weights"]), scale.weights)
+        self.integral = StoredIntegral(data["integral"], scale) if "integral" in data else None
         units = dict(zip(self.states, S, strict=True))
         self.domain = {
             name: tuple(parse(v, {}) / units[name] for v in bounds)

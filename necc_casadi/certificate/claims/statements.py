@@ -21,10 +21,12 @@ __all__ = [
     "DAMPING",
     "DECREASE",
     "GLOBAL",
+    "INTEGRAL_IS_NOT_COVERED",
     "MATCHING",
     "MEASURED_OF_ANY_MASS",
     "MEASURED_OF_THIS_MASS",
     "NOT_MEASURED",
+    "NO_INTEGRAL",
     "NO_NEIGHBOURHOOD",
     "NO_REGION",
     "ONLY_STABLE",
@@ -38,6 +40,7 @@ __all__ = [
     "conserved",
     "equilibrium",
     "input_limits",
+    "integral",
     "limited_by",
     "no_clipping",
     "no_limits",
@@ -87,6 +90,15 @@ MEASURED_OF_THIS_MASS = (
 
 
 NOT_MEASURED = "q̇ is not proved to be what the controller takes for the momenta"
+
+
+INTEGRAL_IS_NOT_COVERED = (
+    "nothing is proved of the integral action: the plant, its loop or its damping is not of the "
+    "kind that is covered"
+)
+
+
+NO_INTEGRAL = "no box around the target is proved in which the integral action makes W fall"
 
 
 #: Of z̄ where the exact verdict at the target, which is no part of the proof, expects no more.
@@ -184,6 +196,18 @@ def slope(delta: float | None) -> str:
     return f"Φ₁ ≥ {_down(delta, 6)} everywhere, by construction of the neural Φ"
 
 
+def integral(level: float, box: Mapping[str, float], limits: Sequence[float]) -> str:
+    """Of the level of W, the box of (q, ξ) by half widths, and the limits of ζ, in model units."""
+    bounds = ", ".join(f"{_down(v, 6)}" for v in limits)
+    sides = ", ".join(f"{name} ± {_down(width, 6)}" for name, width in box.items())
+    return (
+        f"with integral action every solution that starts with W ≤ {_down(level, 6)} and {sides} "
+        "about its place at rest stays there, and q → q* without offset, for every constant "
+        f"disturbance whose ζ* is within ±({bounds}); what else is claimed of solutions is of the "
+        "loop with ζ = 0"
+    )
+
+
 def attraction(rate: float | None) -> str:
     """Of a proved rate of decay of the linearisation; None where it has none."""
     if rate is None:
@@ -221,6 +245,7 @@ def unproved(limits: Sequence[Sequence[float]]) -> Mapping[str, frozenset[str]]:
         "clipping": frozenset([no_clipping(limits), CLIPPING_IS_NOT_COVERED]),
         "global": frozenset(map(not_global, get_args(Missing))),
         "measurement": frozenset([NOT_MEASURED]),
+        "integral": frozenset([INTEGRAL_IS_NOT_COVERED, NO_INTEGRAL]),
     }
 
 

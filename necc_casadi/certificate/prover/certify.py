@@ -28,6 +28,7 @@ from necc_casadi.certificate.prover.decrease import prove_decrease
 from necc_casadi.certificate.prover.equilibrium import Equilibrium, prove_equilibrium
 from necc_casadi.certificate.prover.global_stability import prove_global_stability
 from necc_casadi.certificate.prover.input_limits import clipping_is_covered, holds_everywhere
+from necc_casadi.certificate.prover.integral import prove_integral
 from necc_casadi.certificate.prover.measurement import prove_measurement
 from necc_casadi.certificate.prover.region.proof import RegionProof
 from necc_casadi.certificate.prover.region.region import prove_region, prove_region_within_limits
@@ -142,6 +143,8 @@ def _extended(
     if design.loop.plant.u_limits is not None:
         claims += [_limits_claim(design, proof), _clipping_claim(design, proof)]
     claims.append(_global_claim(everywhere))
+    integral = prove_integral(design)
+    claims += [] if integral is None else [integral]
     found = replace(
         certificate,
         claims=(*certificate.claims, *claims),

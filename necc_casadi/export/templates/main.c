@@ -58,6 +58,9 @@ int main(int argc, char **argv)
         printf("%.9g", (double)step * (double)SAMPLE_TIME);
         print_row(y, NECC_NX);
         print_row(before.xi, NECC_NXI);
+#if NECC_HAS_INTEGRAL
+        print_row(before.zeta, NECC_NU);
+#endif
         print_row(u, NECC_NU);
         printf(",%d\n", flags);
         plant_step(x, u, SAMPLE_TIME);

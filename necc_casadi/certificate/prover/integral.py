@@ -1,0 +1,447 @@
+"""Integral action: W of docs/theory.md#integral-action falls in a box, and stays in it.
+
+With e = q − q*, ξ̃ = ξ − ξ̄, where ξ̄ is the minimum of Hc(ξ) + K(c(q*, ξ)), and the remainders
+Ũ, H₀, K₀ of U, Hc, K beyond their first order,
+
+    W = ½(q̇ + e/τ)ᵀM(q̇ + e/τ) + E_W(e, ξ̃) + ½(ζ − ζ*)ᵀKᵢ⁻¹(ζ − ζ*)/τ,
+    E_W = Ũ + K₀ + H₀ + ½eᵀ(BDBᵀ + R − M/τ)e/τ,     −Ẇ ≥ (q̇, e, ω)ᵀ S (q̇, e, ω).
+
+On each cell of the box either E_W > c or S ≻ 0, and E_W > c on the sides of the box: a solution
+that starts with W ≤ c and (e, ξ̃) in the box stays there, and e → 0 for every ζ* within the limits.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property, reduce
+from itertools import product
+
+import numpy as np
+import sympy as sp
+
+from necc_casadi.arrays import Truth, Vector
+from necc_casadi.certificate.claims import statements
+from necc_casadi.certificate.claims.claim import Claim
+from necc_casadi.certificate.prover.arithmetic.boxes import matrix_enclosure, subdivide
+from necc_casadi.certificate.prover.arithmetic.definite import norm, positive_definite, solve
+from necc_casadi.certificate.prover.arithmetic.intervals import (
+    Interval,
+    concatenate,
+    matmul,
+    point,
+    stack,
+)
+from necc_casadi.certificate.prover.arithmetic.jets import (
+    Jet,
+    chain,
+    coordinates,
+    expression_jets,
+)
+from necc_casadi.certificate.prover.arithmetic.networks import network_jet
+from necc_casadi.certificate.prover.arithmetic.potential import over_pieces
+from necc_casadi.designs.design import Design
+from necc_casadi.model.lagrangian import Lagrangian, integral_obstacle, lagrangian
+from necc_casadi.symbolic.derivatives import gradient, sparse_hessian
+
+__all__ = ["IntegralProof", "prove_integral"]
+
+
+#: Half widths of the box that are tried, in natural units, widest first, and those of ξ̃ over e.
+_WIDTHS, _ASPECTS = 2.0 ** np.arange(2.0, -5.5, -0.5), (1.0, 0.5)
+
+
+#: Points of the sides and of the inside at which a box is tried; boxes that are then proved.
+_SIDE, _INSIDE, _TRIED = 60, 200, 5
+
+
+#: Of the least E_W that is seen on the sides.
+_SHARE = 0.97
+
+
+#: First cells of the box together, cells at most, rounds of halving.
+_CELLS, _MOST_CELLS, _ROUNDS = 256, 60_000, 20
+
+
+#: Cells at once.
+_BATCH = 1024
+
+
+#: Of E_W on boxes, and the boxes.
+_Test = Callable[[Interval, Interval], Truth]
+
+
+#: Boxes around ξ* in which ξ̄ is sought; of the least eigenvalue of the Hessian.
+_RADII, _MU = 2.0 ** -np.arange(2.0, 18.0), 0.5
+
+
+@dataclass(frozen=True, eq=False)
+class IntegralProof:
+    """A box of (e, ξ̃) and a level of W, in natural units."""
+
+    half_widths: Vector  # (2m,)
+    level: float
+
+
+def prove_integral(design: Design) -> Claim | None:
+    """That the target is held without offset; None where the design has no integral action."""
+    if design.integral is None:
+        return None
+    loop, functions = design.loop, design.casimirs.functions
+    obstacle = integral_obstacle(loop, functions, design.form.phi is None)
+    if obstacle is not None or design.form.betas or not _is_uncoupled(design):
+        return Claim("integral", False, statements.INTEGRAL_IS_NOT_COVERED)
+    terms = _Terms(design)
+    found = None if terms.xi_bar is None else _searched(terms)
+    if found is None:
+        return Claim("integral", False, statements.NO_INTEGRAL)
+    level = found.level * design.units.energy
+    data = {"level": found.level, "half_widths": [float(v) for v in found.half_widths]}
+    kept = [*range(terms.k), *range(loop.plant.n, loop.n)]
+    box = {
+        loop.states[i]: float(width * design.units.state[i])
+        for i, width in zip(kept, found.half_widths, strict=True)
+    }
+    text = statements.integral(level, box, [float(v) for v in design.integral.limit])
+    return Claim("integral", True, text, data)
+
+
+def _is_uncoupled(design: Design) -> bool:
+    """Whether 𝒟 = diag(D, Dc), both symmetric."""
+    m, damping = design.loop.plant.m, design.damping
+    coupled = np.any(damping[:m, m:]) or np.any(damping[m:, :m])
+    return not coupled and bool(np.array_equal(damping, damping.T))
+
+
+class _Terms:
+    """E_W and S over boxes of (e, ξ̃), (B, 2m), in natural units."""
+
+    def __init__(self, design: Design) -> None:
+        self.design = design.natural
+        self.plant: Lagrangian = lagrangian(design.loop, design.units)
+        loop, k = self.design.loop, len(self.plant.q)
+        self.k, self.m = k, loop.plant.m
+        slopes = sp.Matrix([[sp.diff(c, s) for s in loop.z] for c in self._casimirs])
+        self.Nx, self.Nxi = _numbers(slopes[:, :k]), _numbers(slopes[:, loop.plant.n :])
+        self.B, self.Gc = _numbers(self.plant.B), _numbers(loop.controller.Gc)
+        self.R = _numbers(self.plant.R)
+        m = self.m
+        self.D, self.Dc = (point(self.design.damping[s, s]) for s in (slice(m), slice(m, None)))
+        self.tau = _tau(self.design)
+        self.weights = self.design.form.split(self.design.weights)
+        self.q_star = self.design.z_star[:k]
+
+    @property
+    def _casimirs(self) -> tuple[sp.Expr, ...]:
+        return self.design.casimirs.functions
+
+    # --- where it rests -----------------------------------------------------------------------
+
+    @cached_property
+    def xi_bar(self) -> Interval | None:
+        """The minimum of Hc(ξ) + K(c(q*, ξ)) in ξ, enclosed (m,)."""
+        xi = self.design.xi_star
+        at = self._shape(point(np.concatenate([self.q_star, xi])[None]))[:, self.k :]
+        g = float(norm(at.grad)[0])
+        least = float(np.linalg.eigvalsh(at.hess.mid[0])[0])
+        for radius in _RADII:
+            if g < _MU * least * radius:
+                box = np.concatenate([self.q_star, xi])
+                reach = np.concatenate([np.zeros(self.k), np.full(self.m, radius)])
+                cells = Interval(np.nextafter(box - reach, -np.inf)[None],
+                                 np.nextafter(box + reach, np.inf)[None])  # fmt: skip
+                hess = self._shape(cells)[:, self.k :].hess
+                if positive_definite(hess, _MU * least)[0]:
+                    away = np.nextafter(g / (_MU * least) * (1 + 1e-12), np.inf)
+                    return Interval(
+                        np.nextafter(xi - away, -np.inf), np.nextafter(xi + away, np.inf)
+                    )
+        return None
+
+    def _shape(self, Z: Interval) -> _Parts:
+        """Hc(ξ) + K(c(q, ξ)) over boxes of (q, ξ)."""
+        variables = coordinates(Z)
+        c = self._linear(variables)
+        return _Parts(self._hc(variables[self.k :]) + self._kc(c))
+
+    def _linear(self, variables: list[Jet]) -> list[Jet]:
+        """The Casimirs as they stand, constants included, over boxes of (q, ξ)."""
+        symbols = (*self.plant.q, *self.design.loop.controller.xi)
+        jets = expression_jets(list(self._casimirs), dict(zip(symbols, variables, strict=True)))
+        return [j if isinstance(j, Jet) else variables[0] * 0.0 + j for j in jets]
+
+    def _hc(self, xi: list[Jet]) -> Jet:
+        X = stack([j.value for j in xi])
+        return chain(network_jet(self.design.form.hc, self.weights[0], X), xi)
+
+    def _kc(self, c: list[Jet]) -> Jet:
+        X = stack([j.value for j in c])
+        return chain(network_jet(self.design.form.k, self.weights[1], X), c)
+
+    # --- E_W ------------------------------------------------------------------------------------
+
+    def energy(self, Z: Interval) -> Interval:
+        """E_W over boxes (B, 2m), by mean-value forms about their middles."""
+        with np.errstate(all="ignore"):
+            middle = Z.mid
+            both = self._energy(concatenate(Z, point(middle)))
+            boxes = Z.shape[0]
+            return both[:boxes].centred(both[boxes:], Z - middle).value
+
+    def _energy(self, Z: Interval) -> Jet:
+        variables = coordinates(Z)
+        if self.xi_bar is None:
+            raise ValueError("ξ̄ is not enclosed")
+        e, xi = variables[: self.k], variables[self.k :]
+        shifted = [*(v + float(q) for v, q in zip(e, self.q_star, strict=True)),
+                   *(v + self.xi_bar[i] for i, v in enumerate(xi))]  # fmt: skip
+        c = self._linear(shifted)
+        total = self._hc(shifted[self.k :]) + self._kc(c)
+        rest = self._at_rest
+        for i, v in enumerate(variables):
+            total = total + v * (-rest.grad[0, i])
+        total = total + (-rest.value[0])
+        symbols = dict(zip(self.plant.q, shifted[: self.k], strict=True))
+        (own,) = expression_jets([self._closed], symbols)
+        return total + own
+
+    @cached_property
+    def _at_rest(self) -> Jet:
+        """Hc + K and its slopes at (q*, ξ̄); that in ξ is 0 there."""
+        xi = self.xi_bar
+        if xi is None:
+            raise ValueError("ξ̄ is not enclosed")
+        low, high = (np.concatenate([self.q_star, v])[None] for v in (xi.lo, xi.hi))
+        found = self._shape(Interval(low, high)).jet
+        lo, hi = found.grad.lo.copy(), found.grad.hi.copy()
+        lo[:, self.k :], hi[:, self.k :] = 0.0, 0.0
+        return Jet(found.value, Interval(lo, hi), found.hess)
+
+    @cached_property
+    def _closed(self) -> sp.Expr:
+        """Ũ + ½eᵀ(BDBᵀ + R − M/τ)e/τ, of q."""
+        q, M = self.plant.q, sp.Matrix(self.plant.M)
+        star = [_exact(float(v)) for v in self.q_star]
+        e = sp.Matrix([s - v for s, v in zip(q, star, strict=True)])
+        there = dict(zip(q, star, strict=True))
+        slope = gradient(self.plant.U, q).subs(there)
+        tau = _exact(self.design_tau)
+        D = sp.Matrix(self.m, self.m, lambda i, j: _exact(float(self.design.damping[i, j])))
+        B = sp.Matrix(self.plant.B)
+        stiff = B * D * B.T + sp.Matrix(self.plant.R) - M / tau
+        remainder = self.plant.U - self.plant.U.subs(there) - (sp.Matrix(slope).T * e)[0, 0]
+        return sp.sympify(remainder + (e.T * stiff * e)[0, 0] / (2 * tau))
+
+    @property
+    def design_tau(self) -> float:
+        """τ in natural units."""
+        if self.design.integral is None:
+            raise ValueError("no integral action")
+        return float(self.design.integral.tau)
+
+    # --- S --------------------------------------------------------------------------------------
+
+    def falls(self, Z: Interval) -> Truth:
+        """Whether S ≻ 0 on boxes (B, 2m)."""
+        with np.errstate(all="ignore"):
+            return positive_definite(self._form(Z))
+
+    def _form(self, Z: Interval) -> Interval:
+        """S over boxes, (B, 3m, 3m), in (q̇, e, ω) with ω = ∇H₀ − ∇K₀."""
+        k, tau, boxes = self.k, self.tau, Z.shape[0]
+        e = Z[:, :k]
+        star = np.broadcast_to(self.q_star, (boxes, k))
+        here = e + star
+        hull = Interval(np.minimum(Z.lo, 0.0), np.maximum(Z.hi, 0.0))
+        between = hull[:, :k] + star
+        M, bent = self._inertia(here, e)
+        U = matrix_enclosure(sparse_hessian(self.plant.U, self.plant.q), self.plant.q, between)
+        h, kk = self._springs(hull)
+        series, share = _in_series(h, kk)
+        BGc = matmul(self.B, _transposed(self.Gc))
+        damped = matmul(matmul(self.B, self.D), _transposed(self.B)) + self.R
+        S_vv = damped - (M + bent) * (1.0 / tau)
+        S_ee = (U + matmul(matmul(BGc, series), _transposed(BGc))) * (1.0 / tau)
+        S_ew = matmul(BGc, share) * (0.5 * (1.0 / tau))
+        S_ww = matmul(matmul(self.Gc, self.Dc), _transposed(self.Gc))
+        return _blocks(S_vv, S_ee, S_ew, S_ww, boxes)
+
+    def _inertia(self, q: Interval, e: Interval) -> tuple[Interval, Interval]:
+        """M and ½Σ eᵢ ∂ᵢM over boxes, (B, k, k)."""
+        M = sp.Matrix(self.plant.M)
+        found = matrix_enclosure(M, self.plant.q, q)
+        parts = [
+            matrix_enclosure(M.diff(s), self.plant.q, q) * e[:, i][:, None, None] * 0.5
+            for i, s in enumerate(self.plant.q)
+        ]
+        return found, reduce(lambda a, b: a + b, parts)
+
+    def _springs(self, hull: Interval) -> tuple[Interval, Interval]:
+        """Mean ∇²Hc and N_ξ ∇²K N_ξᵀ between rest and any point of boxes, (B, m, m)."""
+        if self.xi_bar is None:
+            raise ValueError("ξ̄ is not enclosed")
+        xi = hull[:, self.k :] + self.xi_bar
+        form = self.design.form
+        h = over_pieces(form.hc, self.weights[0], xi).hess
+        q = hull[:, : self.k] + np.broadcast_to(self.q_star, (hull.shape[0], self.k))
+        variables = coordinates(stack([*(q[:, i] for i in range(self.k)),
+                                       *(xi[:, i] for i in range(self.m))]))  # fmt: skip
+        c = stack([j.value for j in self._linear(variables)])
+        bends = over_pieces(form.k, self.weights[1], c).hess
+        return h, matmul(matmul(_transposed(self.Nxi), bends), self.Nxi)
+
+
+@dataclass(frozen=True, eq=False)
+class _Parts:
+    """A jet of which some variables are looked at."""
+
+    jet: Jet
+
+    def __getitem__(self, key: tuple[slice, slice]) -> Jet:
+        rows, kept = key
+        grad, hess = self.jet.grad[rows][:, kept], self.jet.hess[rows][:, kept, kept]
+        return Jet(self.jet.value[rows], grad, hess)
+
+
+def _exact(value: float) -> sp.Rational:
+    return sp.Rational(*value.as_integer_ratio())
+
+
+def _tau(design: Design) -> Interval:
+    if design.integral is None:
+        raise ValueError("no integral action")
+    return point(float(design.integral.tau))
+
+
+def _numbers(matrix: sp.MatrixBase) -> Interval:
+    """A matrix of constants."""
+    empty = point(np.zeros((1, 0)))
+    return matrix_enclosure(sp.Matrix(matrix), (), empty)[0]
+
+
+def _transposed(v: Interval) -> Interval:
+    return Interval(np.swapaxes(v.lo, -1, -2), np.swapaxes(v.hi, -1, -2))
+
+
+def _in_series(h: Interval, k: Interval) -> tuple[Interval, Interval]:
+    """h(h + k)⁻¹k, which is symmetric, and h(h + k)⁻¹; (B, m, m) each."""
+    if h.shape[-1] == 1:
+        share = (1.0 + k * h.reciprocal()).reciprocal()
+        series = (h.reciprocal() + k.reciprocal()).reciprocal()
+        positive = (h.lo > 0) & (k.lo > 0)
+        bad = np.where(positive, 0.0, np.nan)
+        return series + bad, share + bad
+    other = solve(h + k, h)  # (h + k)⁻¹h
+    return (h - matmul(h, other)).meet(matmul(k, other)), _transposed(other)
+
+
+def _blocks(vv: Interval, ee: Interval, ew: Interval, ww: Interval, boxes: int) -> Interval:
+    m = vv.shape[-1]
+    lo, hi = np.zeros((boxes, 3 * m, 3 * m)), np.zeros((boxes, 3 * m, 3 * m))
+    first, second, third = slice(m), slice(m, 2 * m), slice(2 * m, None)
+    for rows, columns, block in (
+        (first, first, vv), (second, second, ee), (third, third, ww),
+        (second, third, ew), (third, second, _transposed(ew)),
+    ):  # fmt: skip
+        lo[:, rows, columns], hi[:, rows, columns] = block.lo, block.hi
+    return Interval(lo, hi)
+
+
+# --- the box ------------------------------------------------------------------------------------
+
+
+def _searched(terms: _Terms) -> IntegralProof | None:
+    """The box of the highest level that is proved."""
+    for _, half, level in _promising(terms)[:_TRIED]:
+        if _is_proved(terms, half, level):
+            return IntegralProof(half, level)
+    return None
+
+
+def _promising(terms: _Terms) -> list[tuple[float, Vector, float]]:
+    """Boxes in which S ≻ 0 is seen where E_W is below its least on the sides, best first."""
+    d, rng = 2 * terms.m, np.random.default_rng(0)
+    inside = rng.uniform(-1, 1, (_INSIDE, d))
+    sides = rng.uniform(-1, 1, (_SIDE * d, d))
+    rows = np.arange(len(sides))
+    sides[rows, rows % d] = np.where(rows // d % 2, 1.0, -1.0)
+    corners = np.array(list(product((-1.0, 0.0, 1.0), repeat=d)))
+    sides = np.concatenate([sides, corners[np.abs(corners).max(axis=1) == 1]])
+    found = []
+    for width, aspect in product(_WIDTHS, _ASPECTS):
+        half = np.concatenate([np.full(terms.m, width), np.full(terms.m, width * aspect)])
+        if not _is_within(terms, half):
+            continue
+        least = float(terms.energy(point(sides * half)).lo.min())
+        if not (np.isfinite(least) and least > 0):
+            continue
+        level, Z = _SHARE * least, inside * half
+        below = terms.energy(point(Z)).lo <= level
+        if np.all(terms.falls(point(Z[below]))):
+            found.append((level * float(below.mean() * half.prod()), half, level))
+    return sorted(found, key=lambda entry: -entry[0])
+
+
+def _is_within(terms: _Terms, half: Vector) -> bool:
+    """Whether the box keeps the bounds that the model names."""
+    loop, k = terms.design.loop, terms.k
+    middle = np.concatenate([terms.q_star, terms.design.xi_star])
+    names = (*loop.plant.states[:k], *loop.controller.states)
+    for name, at, reach in zip(names, middle, half, strict=True):
+        if name in loop.plant.domain:
+            lo, hi = (float(v) for v in loop.plant.domain[name])
+            if not (lo < at - reach and at + reach < hi):
+                return False
+    return True
+
+
+def _is_proved(terms: _Terms, half: Vector, level: float) -> bool:
+    d, box = len(half), Interval(-half, half)
+    parts = max(2, round(_CELLS ** (1 / d)))
+    for axis, side in product(range(d), (-1.0, 1.0)):
+        lo, hi = -half.copy(), half.copy()
+        lo[axis] = hi[axis] = side * half[axis]
+        kept = [i for i in range(d) if i != axis]
+        cut = subdivide(Interval(lo[kept], hi[kept]), parts)
+        face = [cut[:, kept.index(i)] if i != axis else point(np.full(cut.shape[0], lo[axis]))
+                for i in range(d)]  # fmt: skip
+        if not _holds_on(terms, stack(face), half, lambda E, _: E.lo > level):
+            return False
+    return _holds_on(terms, subdivide(box, parts), half, lambda E, Z: _settled(terms, E, Z, level))
+
+
+def _settled(terms: _Terms, E: Interval, Z: Interval, level: float) -> Truth:
+    """E_W > c or S ≻ 0."""
+    high: Truth = np.asarray(E.lo > level)
+    result = high.copy()
+    if not high.all():
+        result[~high] = terms.falls(Z[~high])
+    return result
+
+
+def _holds_on(terms: _Terms, Z: Interval, half: Vector, test: _Test) -> bool:
+    """Whether a test holds on every cell; cells are halved where it does not, but at the middle."""
+    for _ in range(_ROUNDS):
+        if Z.shape[0] > _MOST_CELLS:
+            return False
+        left = Z[~_tested(terms, Z, test)]
+        if left.shape[0] == 0:
+            return True
+        if not _tested(terms, point(left.mid), test).all():
+            return False
+        Z = _halved(left, half)
+    return False
+
+
+def _tested(terms: _Terms, Z: Interval, test: _Test) -> Truth:
+    parts = np.array_split(np.arange(Z.shape[0]), -(-Z.shape[0] // _BATCH))
+    return np.concatenate([test(terms.energy(Z[rows]), Z[rows]) for rows in parts])
+
+
+def _halved(Z: Interval, half: Vector) -> Interval:
+    axis = ((Z.hi - Z.lo) / half).argmax(axis=1)
+    rows, middle = np.arange(Z.shape[0]), Z.mid
+    upper, lower = Z.lo.copy(), Z.hi.copy()
+    cut = middle[rows, axis]
+    lower[rows, axis], upper[rows, axis] = cut, cut
+    return concatenate(Interval(Z.lo, lower), Interval(upper, Z.hi))
