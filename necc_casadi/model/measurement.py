@@ -14,13 +14,12 @@ from functools import cached_property
 import sympy as sp
 
 from necc_casadi.errors import ModelError
-from necc_casadi.model.modulated import System
 from necc_casadi.model.plant import Plant
 from necc_casadi.symbolic.derivatives import gradient
 from necc_casadi.symbolic.linear_algebra import tidy
 from necc_casadi.symbolic.zero import is_zero
 
-__all__ = ["Measurement", "canonical_inertia", "measured_names", "velocity_names"]
+__all__ = ["Measurement", "canonical_inertia", "velocity_names"]
 
 
 _REMEDY = "Leave `measured` out, or write the plant with q, M, V and B."
@@ -29,11 +28,6 @@ _REMEDY = "Leave `measured` out, or write the plant with q, M, V and B."
 def velocity_names(coordinates: Sequence[str]) -> tuple[str, ...]:
     """Names of the rates of coordinates."""
     return tuple(f"{name}_dot" for name in coordinates)
-
-
-def measured_names(system: System) -> tuple[str, ...]:
-    """Names of what the controller of a system takes."""
-    return Measurement(system).names if isinstance(system, Plant) else system.states
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,7 +15,14 @@ import numpy as np
 import sympy as sp
 from flint import arb, arb_mat
 
-from necc_casadi.certificate.checker.arithmetic.balls import Box, ball, by_bisection, ends, evaluate
+from necc_casadi.certificate.checker.arithmetic.balls import (
+    Box,
+    ball,
+    by_bisection,
+    ends,
+    evaluate,
+    times,
+)
 from necc_casadi.certificate.checker.arithmetic.definite import norm, positive, solve
 from necc_casadi.certificate.checker.arithmetic.networks import Net
 from necc_casadi.certificate.checker.evidence import Checked, Evidence
@@ -29,6 +36,10 @@ __all__ = ["check_integral"]
 
 #: How often a cell may be halved.
 _DEPTH = 24
+
+
+#: Stretches of the way from rest to a point, along each of which slopes are enclosed.
+_STRETCHES = (4, 16)
 
 
 #: A number is its double within this share.
@@ -280,17 +291,15 @@ class _Fall:
         return _constants_at(self.M, there)
 
     def _falls(self, box: Box) -> bool:
-        """S ≻ 0 over a box, in (q̇, e, ω)."""
-        k, tau, xi_bar = self.k, self.tau, self.xi_bar or []
+        """S ≻ 0 over a box, in (q̇, e, ω), in few stretches or in many."""
+        return any(self._is_positive(box, stretches) for stretches in _STRETCHES)
+
+    def _is_positive(self, box: Box, stretches: int) -> bool:
+        k, tau = self.k, self.tau
         e = [ball(*side) for side in box[:k]]
         here = {s: v + d for s, v, d in zip(self.q, self.q_star, e, strict=True)}
-        hull = [ball(min(lo, 0.0), max(hi, 0.0)) for lo, hi in box]
-        q = [v + d for v, d in zip(self.q_star, hull[:k], strict=True)]
-        xi = [v + d for v, d in zip(xi_bar, hull[k:], strict=True)]
-        between = dict(zip(self.q, q, strict=True))
-        a = arb_mat([[evaluate(v, between) for v in row] for row in self.hess_U])
-        h, kk = self._full(self.hc, xi), self._springs_k(self._c(q, xi))
-        found = _in_series(h, kk)
+        a, h, bends = self._mean_slopes(box, stretches)
+        found = _in_series(h, bends)
         if found is None:
             return False
         series, share = found
@@ -308,6 +317,22 @@ class _Fall:
                 S[2 * k + i, 2 * k + j] = self.inner[i, j]
                 S[k + i, 2 * k + j] = S[2 * k + j, k + i] = ew[i, j]
         return positive(S, 0.0)
+
+    def _mean_slopes(self, box: Box, stretches: int) -> tuple[arb_mat, arb_mat, arb_mat]:
+        """∇²U, ∇²Hc and N_ξ∇²K N_ξᵀ, averaged along straight ways from rest into the box."""
+        k, xi_bar = self.k, self.xi_bar or []
+        total = [arb_mat(k, k) for _ in range(3)]
+        for part in range(stretches):
+            share = arb(part) / stretches
+            share = share.union(arb(part + 1) / stretches)
+            steps = [times(share, ball(*side)) for side in box]
+            q = [v + d for v, d in zip(self.q_star, steps[:k], strict=True)]
+            xi = [v + d for v, d in zip(xi_bar, steps[k:], strict=True)]
+            there = dict(zip(self.q, q, strict=True))
+            a = arb_mat([[evaluate(v, there) for v in row] for row in self.hess_U])
+            found = a, self._full(self.hc, xi), self._springs_k(self._c(q, xi))
+            total = [old + new / stretches for old, new in zip(total, found, strict=True)]
+        return total[0], total[1], total[2]
 
 
 def _constants_at(matrix: sp.Matrix, values: dict[sp.Symbol, arb]) -> arb_mat:
