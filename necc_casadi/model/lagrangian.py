@@ -5,19 +5,26 @@ With q̇ = ∂H/∂p and p = M q̇: H = ½q̇ᵀM(q)q̇ + U(q), y = Bᵀq̇, fri
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import sympy as sp
 
 from necc_casadi.model.closed_loop import ClosedLoop
+from necc_casadi.model.parametric import Parametric
+from necc_casadi.model.plant import Plant
 from necc_casadi.model.rescale import exactly
 from necc_casadi.model.shaped_loop import ShapedLoop
 from necc_casadi.model.sizes import Sizes
+from necc_casadi.symbolic.linear_algebra import tidy
 from necc_casadi.symbolic.zero import is_zero
 
-__all__ = ["Lagrangian", "integral_obstacle", "lagrangian"]
+__all__ = ["Lagrangian", "Plants", "Range", "integral_obstacle", "lagrangian"]
+
+
+#: (least, greatest), exact.
+Range = tuple[sp.Expr, sp.Expr]
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,17 +32,53 @@ class Lagrangian:
     """M, U, R and B of a fully actuated plant of k coordinates, in some units."""
 
     q: tuple[sp.Symbol, ...]  # (k,)
-    M: sp.ImmutableMatrix  # k × k, of q
-    U: sp.Expr  # of q
-    R: sp.ImmutableMatrix  # k × k, constant
+    M: sp.ImmutableMatrix  # k × k, of q and θ
+    U: sp.Expr  # of q and θ
+    R: sp.ImmutableMatrix  # k × k, of θ
     B: sp.ImmutableMatrix  # k × k, constant, regular
+    ranges: Mapping[sp.Symbol, Range] = field(default_factory=dict)  # of θ
 
 
-def lagrangian(loop: ClosedLoop, units: Sizes) -> Lagrangian:
-    """The plant of a loop that has no :func:`integral_obstacle`, measured in `units`."""
-    plant, k = loop.plant, loop.plant.n // 2
-    if plant.inertia is None:
-        raise ValueError("the states are measured")
+@dataclass(frozen=True, eq=False)
+class Plants:
+    """The plants of a model whose parameters are constant and unknown, within ranges."""
+
+    parametric: Parametric
+    ranges: Mapping[str, Range]  # parameter -> (least, greatest), exact
+
+    @property
+    def varied(self) -> Parametric:
+        """J, R, G and H with the uncertain parameters as symbols, the others at their values."""
+        known = {k: v for k, v in self.parametric.values.items() if k not in self.ranges}
+        return self.parametric.at(known)
+
+
+def varied_plant(plant: Plant, plants: Plants | None) -> Plant | None:
+    """The plant with θ as symbols in M, U and R; None where θ is elsewhere, or H not quadratic."""
+    if plants is None:
+        return plant
+    varied, k = plants.varied, plant.n // 2
+    p, at_rest = plant.x[k:], dict.fromkeys(plant.x[k:], sp.Integer(0))
+    inverse = sp.hessian(varied.H, p).applyfunc(tidy)
+    rest = varied.H - (sp.Matrix(p).T * inverse * sp.Matrix(p))[0, 0] / 2
+    linear = any(is_zero(sp.diff(rest, s)) is not True for s in p)
+    if (varied.J, varied.G) != (plant.J, plant.G) or inverse.free_symbols & set(p) or linear:
+        return None
+    if any(varied.R[:k, :]) or any(varied.R[:, :k]) or varied.R.free_symbols & set(plant.x):
+        return None
+    inertia = sp.ImmutableMatrix(inverse.inv().applyfunc(tidy))
+    return replace(plant, H=rest.subs(at_rest), R=varied.R, inertia=inertia)
+
+
+def lagrangian(loop: ClosedLoop, units: Sizes, plants: Plants | None = None) -> Lagrangian | None:
+    """The plant of a loop that has no :func:`integral_obstacle`, measured in `units`.
+
+    With `plants` as a function of their parameters; None where these are not in M, U and R alone.
+    """
+    plant, k = varied_plant(loop.plant, plants), loop.plant.n // 2
+    if plant is None or plant.inertia is None:
+        return None
+    inertia = plant.inertia
     S, u = exactly(units.state[:k]), exactly(units.input)
     T, E = exactly(np.array([units.time, units.energy]))
     scale = {s: size * s for s, size in zip(plant.x, S, strict=False) if size != 1}
@@ -48,10 +91,13 @@ def lagrangian(loop: ClosedLoop, units: Sizes) -> Lagrangian:
 
     return Lagrangian(
         q=plant.x[:k],
-        M=scaled(plant.inertia, 1 / (T**2 * E)),
+        M=scaled(inertia, 1 / (T**2 * E)),
         U=plant.H.subs(at_rest).xreplace(scale) / E,
         R=scaled(plant.R[k:, k:], 1 / (T * E)),
         B=sp.ImmutableMatrix(k, k, lambda i, j: plant.G[k + i, j] * S[i] * u[j] / E),
+        ranges={}
+        if plants is None
+        else {sp.Symbol(name, real=True): side for name, side in plants.ranges.items()},
     )
 
 

@@ -56,6 +56,7 @@ _AFFINE = ("x", "f", "G")
 _OPTIONAL = (
     "params", "xi", "Jc", "Rc", "Gc", "casimirs", "target", "domain", "sizes", "D", "Dc",
     "u_limits", "units", "name", "state_cost", "input_cost", "u", "E", "f", "measured",
+    "uncertain",
 )  # fmt: skip
 
 
@@ -90,6 +91,7 @@ class Model:
     input_cost: Vector | None = None  # m × m, ≻ 0
     params: Mapping[str, sp.Expr] = field(default_factory=dict)  # values, exact
     notes: tuple[str, ...] = ()  # names in the file that look mistyped
+    uncertain: Mapping[str, tuple[sp.Expr, sp.Expr]] = field(default_factory=dict)  # parameters
     parametric: Parametric | None = None  # the plant before values were put in; None: no parameter
 
     @cached_property
@@ -268,6 +270,7 @@ def _build(path: Path, space: dict[str, Any], overrides: Mapping[str, str]) -> M
         state_cost=_weight(file, "state_cost", plant.n, strict=False),
         input_cost=_weight(file, "input_cost", plant.m, strict=True),
         params=file.parameters,
+        uncertain=_uncertain(file),
         parametric=_parametric(file),
     )
 
@@ -546,6 +549,32 @@ def _domain(file: _Reader, states: Sequence[str]) -> dict[str, tuple[sp.Expr, sp
                 "domain",
                 f"domain[{name}] = {bounds} is not a pair (lo, hi) with lo < hi",
                 "Give two finite numbers.",
+            )
+        result[name] = (lo, hi)
+    return result
+
+
+def _uncertain(file: _Reader) -> dict[str, tuple[sp.Expr, sp.Expr]]:
+    """Ranges of parameters that are constant and unknown."""
+    result = {}
+    for name, side in file.table("uncertain").items():
+        value = file.parameters.get(name)
+        if value is None:
+            raise ModelError(
+                "param",
+                f"uncertain names {name}, which is no parameter",
+                f"Parameters: {', '.join(file.parameters) or 'none; write params = {m: 1}'}.",
+            )
+        try:
+            lo, hi = (file.read(bound) for bound in side)
+            held = bool(lo <= value <= hi) and bool(lo.is_finite and hi.is_finite)
+        except (TypeError, ValueError, AttributeError):
+            held = False
+        if not held:
+            raise ModelError(
+                "param",
+                f"uncertain[{name}] = {side} is not a pair (lo, hi) around {value}",
+                "Give the least and the greatest value, the nominal one between them.",
             )
         result[name] = (lo, hi)
     return result

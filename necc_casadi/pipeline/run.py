@@ -25,6 +25,7 @@ from necc_casadi.files import LISTING, check_writable, write_text
 from necc_casadi.folders import whole_folder
 from necc_casadi.methods.find import Found, find_method
 from necc_casadi.methods.method import Method
+from necc_casadi.model.lagrangian import Plants
 from necc_casadi.model.model_file import Model
 from necc_casadi.model.plant import Plant
 from necc_casadi.model.spot_checks import check_model_at
@@ -306,8 +307,11 @@ def _kept(request: Request, task: _Task, clock: Clock) -> tuple[_Kept, _Task]:
 
     with clock.stage("integral", "adding integral action"):
         tau = None if request.integral is True else float(request.integral)
-        made = with_integral(choice.design, tau)
-        return _Kept(made, certify(made), choice), task
+        plants = None
+        if task.model.uncertain and task.model.parametric is not None:
+            plants = Plants(task.model.parametric, task.model.uncertain)
+        made = with_integral(choice.design, tau, plants)
+        return _Kept(made, certify(made, plants=plants), choice), task
 
 
 @dataclass(frozen=True, eq=False)

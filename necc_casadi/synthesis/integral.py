@@ -8,6 +8,7 @@ proves of the loop with ζ what is suggested here.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 import sympy as sp
@@ -20,7 +21,7 @@ from necc_casadi.errors import OptionError
 from necc_casadi.lyapunov.damping import uncoupled
 from necc_casadi.lyapunov.sympy2casadi import casadi_function
 from necc_casadi.model.closed_loop import ClosedLoop
-from necc_casadi.model.lagrangian import Lagrangian, integral_obstacle, lagrangian
+from necc_casadi.model.lagrangian import Lagrangian, Plants, integral_obstacle, lagrangian
 from necc_casadi.model.samples import quasi_random
 from necc_casadi.symbolic.derivatives import sparse_hessian
 
@@ -33,6 +34,10 @@ _TIMES, _GAINS = 2.0 ** np.arange(-2, 4.5, 0.5), 2.0 ** np.arange(-4, 4.5, 0.5)
 
 #: Over the least damping of the plant's port and of the controller's: what is away from rest.
 _ROOM, _INNER_ROOM = 1.3, 2.0
+
+
+#: Uncertain parameters of which all ends are looked at.
+_MOST_ENDS = 6
 
 
 #: Positions within one size of the target at which inertia and stiffness are looked at.
@@ -61,8 +66,10 @@ def refuse_integral(loop: ClosedLoop, casimirs: tuple[sp.Expr, ...], phi_is_sum:
         )
 
 
-def with_integral(design: Design, tau: float | None = None) -> Design:
+def with_integral(design: Design, tau: float | None = None, plants: Plants | None = None) -> Design:
     """The design with integral action; τ as given, in s, else chosen.
+
+    With `plants` the damping is enough for every inertia at the ends of their ranges.
 
     Raises
     ------
@@ -74,7 +81,7 @@ def with_integral(design: Design, tau: float | None = None) -> Design:
         raise OptionError(
             "usage", "--integral: C = K(Σ βᵢ(cᵢ)) is not covered", "Use --casimir-form joint."
         )
-    loop = _Linear.of(design)
+    loop = _Linear.of(design, plants)
     times = _TIMES if tau is None else np.array([tau / design.units.time])
     tried = [found for time in times if (found := loop.at(float(time))) is not None]
     if not tried:
@@ -143,9 +150,11 @@ class _Linear:
     Dc: Vector
 
     @classmethod
-    def of(cls, design: Design) -> _Linear:
+    def of(cls, design: Design, plants: Plants | None) -> _Linear:
         """From the Hessian of V and the plant."""
         natural, plant = design.natural, lagrangian(design.loop, design.units)
+        if plant is None:
+            raise ValueError("the states are measured")
         count, n = len(plant.q), natural.loop.plant.n
         star = natural.z_star[:count]
         P = natural.lyapunov.hessian(natural.z_star)
@@ -161,7 +170,12 @@ class _Linear:
         m = natural.loop.plant.m
         return cls(
             M=_at(plant, plant.M, star[None])[0],
-            worst=_bent(plant, star, natural.sizes.state[:count]),
+            worst=np.concatenate(
+                [
+                    _bent(at, star, natural.sizes.state[:count])
+                    for at in [plant, *_at_the_ends(design, plants)]
+                ]
+            ),
             stiffness=stiffness,
             R=_constant(plant.R),
             B=_constant(plant.B),
@@ -229,6 +243,28 @@ def _bent(plant: Lagrangian, star: Vector, size: Vector) -> Vector:
     for i, s in enumerate(plant.q):
         total = total + 0.5 * (q - star)[:, i, None, None] * _at(plant, M.diff(s), q)
     return total
+
+
+def _at_the_ends(design: Design, plants: Plants | None) -> list[Lagrangian]:
+    """The plants at all ends of the ranges of up to so many parameters."""
+    if plants is None:
+        return []
+    varied = lagrangian(design.loop, design.units, plants)
+    if varied is None:
+        raise OptionError(
+            "usage",
+            f"--integral: {', '.join(plants.ranges)} stand in J or G, or H is not quadratic in p",
+            "Uncertain parameters of integral action are those of inertia, potential and friction.",
+        )
+    names = list(varied.ranges)[:_MOST_ENDS]
+    rest = {s: side[0] for s, side in varied.ranges.items() if s not in names}
+    ends = product(*(varied.ranges[s] for s in names))
+    found = []
+    for values in ends:
+        known = {**rest, **dict(zip(names, values, strict=True))}
+        M, R = varied.M.subs(known), varied.R.subs(known)
+        found.append(replace(varied, M=M, R=R, U=varied.U.subs(known), ranges={}))
+    return found
 
 
 def _at(plant: Lagrangian, matrix: sp.MatrixBase, q: Vector) -> Vector:

@@ -11,10 +11,15 @@ from helpers.velocity import arm, pendulum
 
 from necc_casadi.certificate.claims import statements
 from necc_casadi.certificate.prover.arithmetic.intervals import point
+from necc_casadi.certificate.prover.certify import certify
 from necc_casadi.certificate.prover.integral import _Terms, prove_integral
 from necc_casadi.designs.design import Design
 from necc_casadi.designs.integral import Integral
-from necc_casadi.errors import OptionError
+from necc_casadi.designs.plant_file import plant_text
+from necc_casadi.errors import ModelError, OptionError, OutputError
+from necc_casadi.model.lagrangian import Plants, lagrangian
+from necc_casadi.model.model_file import load_model
+from necc_casadi.model.parametric import Parametric
 from necc_casadi.simulation.responses import simulate
 from necc_casadi.simulation.saturated import disturbed_field
 from necc_casadi.synthesis.integral import with_integral
@@ -60,7 +65,7 @@ def test_W_falls_by_the_form_S(make):
     design = replace(
         design, integral=Integral(1.7, np.linspace(2, 3, m), np.full(m, 9.0))
     )  # any gain, any τ
-    terms, field = _Terms(design), disturbed_field(design)
+    terms, field = terms_of(design), disturbed_field(design)
     rng, n = np.random.default_rng(0), design.loop.plant.n
     B = np.array(sp.Matrix(design.loop.plant.G[m:, :]).evalf(), float)
     for _ in range(6):
@@ -107,7 +112,7 @@ def test_a_looser_box_is_not(folder, tmp_path, pendulum_with, key):
         for i, w in zip((0, 2), held["data"]["half_widths"], strict=True)
     }
     limit = [float(v) for v in pendulum_with.integral.limit]
-    held["statement"] = statements.integral(held["data"]["level"] * units.energy, box, limit)
+    held["statement"] = statements.integral(held["data"]["level"] * units.energy, box, limit, {})
     (tmp_path / "certificate.json").write_text(json.dumps(data), encoding="utf-8")
     (tmp_path / "design.json").write_bytes((folder / "design.json").read_bytes())
     assert verdicts(tmp_path)["integral"] is False
@@ -149,7 +154,7 @@ def test_no_offset_is_left(make):
 
 def test_starts_in_the_proved_set_stay_in_it_and_W_falls(pendulum_with):
     """From random starts with W ≤ c, ζ at its limits among them."""
-    terms, proof = _Terms(pendulum_with), prove_integral(pendulum_with).data
+    terms, proof = terms_of(pendulum_with), prove_integral(pendulum_with).data
     rng = np.random.default_rng(1)
     natural, half = pendulum_with.natural, np.array(proof["half_widths"])
     field, done = disturbed_field(natural), 0
@@ -180,7 +185,9 @@ _KNOWN = {}
 
 
 def terms_of(design):
-    return _KNOWN.setdefault(id(design), _Terms(design))
+    if id(design) not in _KNOWN:
+        _KNOWN[id(design)] = design, _Terms(design, lagrangian(design.loop, design.units))
+    return _KNOWN[id(design)][1]
 
 
 def test_limits_are_half_of_what_the_inputs_have_left():
@@ -216,3 +223,89 @@ def test_what_is_not_covered_is_refused(change, reason):
         with_integral(other)
     given = replace(other, integral=Integral(1.0, np.ones(1), np.ones(1)))
     assert prove_integral(given).statement == statements.INTEGRAL_IS_NOT_COVERED
+
+
+# --- parameters that are not known ---------------------------------------------------------------
+
+
+def plants(**ranges):
+    """The pendulum with its mass, weight and friction as symbols."""
+    plant = pendulum().loop.plant
+    q, p = plant.x
+    m, g, d, k = sp.symbols("m g d k", real=True)
+    values = {"m": 1, "g": 1, "d": sp.Rational(1, 10), "k": 1}
+    formal = Parametric(
+        plant.J,
+        sp.ImmutableMatrix(sp.diag(0, d)),
+        plant.G * (k if "k" in ranges else 1),
+        p**2 / (2 * m) + g * (1 - sp.cos(q)),
+        {name: sp.sympify(v) for name, v in values.items()},
+    )
+    return Plants(formal, {name: tuple(map(sp.sympify, side)) for name, side in ranges.items()})
+
+
+@pytest.fixture(scope="module")
+def ranged(tmp_path_factory):
+    """Proved for a box of masses, weights and frictions."""
+    many = plants(m=("9/10", "11/10"), g=("4/5", "6/5"), d=("0", "3/10"))
+    made, folder = with_integral(pendulum(), plants=many), tmp_path_factory.mktemp("ranged")
+    made.save(folder / "design.json")
+    certificate = certify(made, plants=many)
+    (folder / "certificate.json").write_text(certificate.to_json(), encoding="utf-8")
+    (folder / "plant.json").write_text(plant_text(made, many.parametric), encoding="utf-8")
+    return folder
+
+
+def test_no_offset_is_proved_for_a_box_of_plants(ranged):
+    data = json.loads((ranged / "certificate.json").read_text(encoding="utf-8"))
+    found = claim(data, "integral")
+    assert found["holds"]
+    assert found["data"]["uncertain"]["m"] == ["9/10", "11/10"]
+    assert "d in [0, 3/10]" in found["statement"]
+    assert all(verdicts(ranged).values())
+
+
+@pytest.mark.parametrize("fault", ["wider", "missing", "other"])
+def test_ranges_and_plants_that_were_not_proved_are_found_out(ranged, tmp_path, fault):
+    for name in ("design.json", "certificate.json", "plant.json"):
+        (tmp_path / name).write_bytes((ranged / name).read_bytes())
+    data = json.loads((ranged / "certificate.json").read_text(encoding="utf-8"))
+    held = claim(data, "integral")
+    if fault == "wider":
+        held["data"]["uncertain"]["m"] = ["9/10", "9"]
+        held["statement"] = held["statement"].replace("m in [9/10, 11/10]", "m in [9/10, 9]")
+        (tmp_path / "certificate.json").write_text(json.dumps(data), encoding="utf-8")
+        assert verdicts(tmp_path)["integral"] is False
+    elif fault == "other":
+        plant = json.loads((tmp_path / "plant.json").read_text(encoding="utf-8"))
+        plant["H"] = f"2*({plant['H']})"
+        (tmp_path / "plant.json").write_text(json.dumps(plant), encoding="utf-8")
+        assert verdicts(tmp_path)["integral"] is False
+    else:
+        (tmp_path / "plant.json").unlink()
+        with pytest.raises(OutputError, match=r"plant\.json is missing"):
+            verdicts(tmp_path)
+
+
+def test_a_gain_that_is_not_known_is_refused():
+    with pytest.raises(OptionError, match="stand in J or G"):
+        with_integral(pendulum(), plants=plants(k=("9/10", "11/10")))
+
+
+@pytest.mark.parametrize(
+    ("line", "piece"),
+    [
+        ("uncertain = {l: (1, 2)}", "names l, which is no parameter"),
+        ("uncertain = {m: (2, 3)}", "is not a pair (lo, hi) around 1"),
+        ("uncertain = {m: 2}", "is not a pair"),
+    ],
+)
+def test_ranges_that_are_none(tmp_path, line, piece):
+    text = (
+        "import sympy as sp\nq, m, l = sp.symbols('q m l')\nM, V, B = m, -sp.cos(q), 1\n"
+        f"params = {{m: 1}}\n{line}\n"
+    )
+    (tmp_path / "own.py").write_text(text, encoding="utf-8")
+    with pytest.raises(ModelError) as fault:
+        load_model(tmp_path / "own.py")
+    assert (fault.value.code, piece in str(fault.value)) == ("param", True)

@@ -9,6 +9,8 @@ from __future__ import annotations
 import binascii
 import hashlib
 import zlib
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 from necc_casadi.certificate.checker.attraction import check_attraction, check_only_stable
@@ -26,6 +28,7 @@ from necc_casadi.certificate.checker.reading import (
     check_design,
     model_hash,
     read_folder,
+    read_plant,
     unreadable,
 )
 from necc_casadi.certificate.checker.region.region import check_region, region_proof
@@ -60,7 +63,8 @@ def check(folder: Path) -> tuple[Checked, ...]:
         design_text, stored, design = read_folder(folder)
         check_design(design)
         evidence = Evidence(StoredDesign(design), stored)
-        results = [_as_worded(evidence, result) for result in _everything(evidence)]
+        plant = partial(read_plant, folder, design_text)
+        results = [_as_worded(evidence, result) for result in _everything(evidence, plant)]
         contents = check_contents(evidence, results)
     except _UNREADABLE as problem:
         raise unreadable(folder, problem) from None
@@ -94,7 +98,7 @@ def _settled(evidence: Evidence, sound: bool) -> Checked:
     return (check_attraction if name == "attraction" else check_only_stable)(evidence, sound)
 
 
-def _everything(evidence: Evidence) -> list[Checked]:
+def _everything(evidence: Evidence, plant_file: Callable[[], str | None]) -> list[Checked]:
     """Each claim, given those that it rests on."""
     certificate = evidence.certificate
     equilibrium, decrease = check_equilibrium(evidence), check_decrease(evidence)
@@ -116,6 +120,6 @@ def _everything(evidence: Evidence) -> list[Checked]:
     if evidence.claimed("global") or certificate.is_global:
         results.append(check_global(evidence, settled.holds))
     plain = all(part.holds for part in decrease) and measured is not None and measured.holds
-    integral = check_integral(evidence, plain)
+    integral = check_integral(evidence, plain, plant_file)
     results += [] if integral is None else [integral]
     return results

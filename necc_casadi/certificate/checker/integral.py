@@ -9,6 +9,8 @@ and ∇K between rest and a point, η = GcBᵀe and ω = ∇H₀ − ∇K₀,
 
 from __future__ import annotations
 
+import json
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 
 import numpy as np
@@ -29,6 +31,7 @@ from necc_casadi.certificate.checker.evidence import Checked, Evidence
 from necc_casadi.certificate.checker.loops import StoredInterconnection
 from necc_casadi.certificate.checker.model import StoredDesign
 from necc_casadi.certificate.claims import statements
+from necc_casadi.symbolic.expressions import parse
 from necc_casadi.symbolic.zero import is_zero
 
 __all__ = ["check_integral"]
@@ -50,10 +53,13 @@ _ROUNDED = 2.0**-50
 _RADII = tuple(2.0**-k for k in range(18))
 
 
-def check_integral(evidence: Evidence, sound: bool) -> Checked | None:
+def check_integral(
+    evidence: Evidence, sound: bool, plant_file: Callable[[], str | None]
+) -> Checked | None:
     """The claim about integral action; None where nothing is claimed.
 
-    `sound`: the Casimirs, the structure and what is measured are proved.
+    `sound`: the Casimirs, the structure and what is measured are proved. `plant_file` gives
+    plant.json, with the parameters that the claim may be about.
     """
     model = evidence.model
     if not evidence.claimed("integral"):
@@ -64,13 +70,18 @@ def check_integral(evidence: Evidence, sound: bool) -> Checked | None:
     kept = [*range(model.n // 2), *range(model.n, len(model.z))]
     sides = zip(kept, widths, strict=False)
     told = {model.states[i]: width * model.units.state[i] for i, width in sides}
-    text = statements.integral(level * model.units.energy, told, limits)
+    data = evidence.claims["integral"].data
+    ranges = {k: tuple(map(str, side)) for k, side in data.get("uncertain", {}).items()}
+    text = statements.integral(level * model.units.energy, told, limits, ranges)
     if model.integral is None or not _is_covered(model):
         return Checked("integral", False, f"{text}; not proved: the plant and loop are covered")
     if len(widths) != 2 * model.m or not all(v > 0 for v in widths):
         return Checked("integral", False, f"{text}; not proved: a box of (e, ξ̃)")
-    fall = _Fall(model, level)
-    box: Box = tuple((-v, v) for v in widths)
+    varied = StoredPlants(model, plant_file(), ranges) if ranges else None
+    if varied is not None and not varied.fits(model):
+        return Checked("integral", False, f"{text}; not proved: plant.json is of this design")
+    fall = _Fall(model, level, varied)
+    box: Box = tuple((-v, v) for v in widths) + fall.theta
     return Checked.by(
         "integral",
         text,
@@ -127,10 +138,64 @@ def _constants(matrix: sp.Matrix) -> arb_mat:
     return arb_mat([[evaluate(sp.sympify(v), {}) for v in row] for row in matrix.tolist()])
 
 
-class _Fall:
-    """E_W and S over boxes of (e, ξ̃), in natural units."""
+class StoredPlants:
+    """The plant of plant.json with some parameters as symbols, in natural units but for these.
 
-    def __init__(self, model: StoredDesign, level: float) -> None:
+    Raises
+    ------
+    ValueError
+        When there is no plant.json, or it is no plant of so many states.
+    """
+
+    def __init__(
+        self, model: StoredDesign, text: str | None, ranges: Mapping[str, Sequence[str]]
+    ) -> None:
+        if text is None:
+            raise ValueError("plant.json is missing")
+        data = json.loads(text)
+        names, plain = data["names"], data["symbols"]
+        if names[: model.n] != model.states[: model.n] or len(set(names)) != len(plain):
+            raise ValueError("plant.json is of other states")
+        theta = [sp.Symbol(name, real=True) for name in names[model.n :]]
+        own = dict(zip(plain, (*model.z[: model.n], *theta), strict=True))
+        values = {name: parse(v, {}) for name, v in data["parameters"].items()}
+        self.nominal = {s: values[str(s)] for s in theta}
+        self.ranges = {
+            sp.Symbol(name, real=True): tuple(parse(v, {}) for v in side)
+            for name, side in ranges.items()
+        }
+        if not set(self.ranges) <= set(self.nominal) or set(self.nominal) & set(model.z):
+            raise ValueError("a parameter that plant.json has not, or that is a state")
+        fixed = {s: v for s, v in self.nominal.items() if s not in self.ranges}
+        matrices = data["J"], data["R"], data["G"]
+        self.H, self.J, self.R, self.G = model.in_natural_units(
+            data["H"], *matrices, symbols=own, known=fixed
+        )
+        k = model.n // 2
+        self.p = model.z[k : model.n]
+        self.inverse = sp.hessian(self.H, self.p)
+        self.inertia = (model.J[:k, k : model.n] * self.inverse).inv()  # q̇ = A ∂H/∂p, p = M q̇
+
+    def fits(self, model: StoredDesign) -> bool:
+        """Whether θ is in M, U and R alone, and the nominal plant is that of the design."""
+        at, k = self.nominal, model.n // 2
+        pairs = [(self.H, model.H), *zip(self.R, model.R, strict=True)]
+        same = all(is_zero(a.xreplace(at) - b) is True for a, b in pairs)
+        own = [*(self.J - model.J), *(self.G - model.G), *self.R[:k, :], *self.R[:, :k]]
+        rest = self.H - (sp.Matrix(self.p).T * self.inverse * sp.Matrix(self.p))[0, 0] / 2
+        own += [sp.diff(rest, s) for s in self.p]
+        plain = not any(set(self.p) & v.free_symbols for v in self.inverse)
+        constant = not any(set(model.z) & v.free_symbols for v in self.R)
+        ordered = all(
+            bool(lo <= at[s]) and bool(at[s] <= hi) for s, (lo, hi) in self.ranges.items()
+        )
+        return same and plain and constant and ordered and all(is_zero(v) is True for v in own)
+
+
+class _Fall:
+    """E_W and S over boxes of (e, ξ̃, θ), in natural units but for θ."""
+
+    def __init__(self, model: StoredDesign, level: float, plants: StoredPlants | None) -> None:
         integral = model.integral
         if integral is None or model.inertia is None:
             raise ValueError("no integral action")
@@ -140,15 +205,24 @@ class _Fall:
         A = model.J[:k, k : model.n]
         rates = A.T.inv()  # y = Gᵀ∂H/∂p = BᵀA⁻¹q̇
         self.tau = arb(integral.tau)
-        B, R = rates * model.G[k:, :], rates * model.R[k:, k:] * A.inv()
-        self.M = rates * model.inertia
-        self.U = model.H.subs(dict.fromkeys(model.z[k : model.n], 0))
+        H, friction, inertia = model.H, model.R, model.inertia
+        if plants is not None:
+            H, friction, inertia = plants.H, plants.R, plants.inertia
+        B, R = rates * model.G[k:, :], rates * friction[k:, k:] * A.inv()
+        self.M = rates * inertia
+        self.U = H.subs(dict.fromkeys(model.z[k : model.n], 0))
+        self.R = R
+        self.symbols = () if plants is None else tuple(plants.ranges)
+        sides = () if plants is None else plants.ranges.values()
+        self.theta: Box = tuple(
+            (ends(evaluate(lo, {}))[0], ends(evaluate(hi, {}))[1]) for lo, hi in sides
+        )
         self.B, self.Gc = _constants(B), _constants(model.ports[model.n :, k:])
         D, Dc = (
             arb_mat([[arb(v) for v in row[s]] for row in model.damping[s]])
             for s in (slice(k), slice(k, 2 * k))
         )
-        self.damped = self.B * D * self.B.transpose() + _constants(R)
+        self.damping = self.B * D * self.B.transpose()
         self.inner = self.Gc * Dc * self.Gc.transpose()
         self.slopes = _constants(_slopes(model))
         start = [sp.Integer(0)] * (2 * k)
@@ -212,17 +286,19 @@ class _Fall:
         N = arb_mat([[self.slopes[i, k + j] for j in range(k)] for i in range(k)])
         return N.transpose() * self._full(self.kc, c) * N
 
-    def _rest(self) -> tuple[arb, list[arb], arb, list[arb]]:
-        """Hc + K, its slopes in q, U and ∇U at rest; the slopes in ξ are 0 there."""
+    def _rest(self) -> tuple[arb, list[arb]]:
+        """Hc + K and its slopes in q at rest; those in ξ are 0 there."""
         xi = self.xi_bar or []
         c = self._c(self.q_star, xi)
         k_value, dk, _ = self.kc(_box(c))
         along = [
             sum((self.slopes[j, i] * dk[j] for j in range(self.k)), arb(0)) for i in range(self.k)
         ]
-        there = dict(zip(self.q, self.q_star, strict=True))
-        grad = [evaluate(g, there) for g in self.grad_U]
-        return self.hc(_box(xi))[0] + k_value, along, evaluate(self.U, there), grad
+        return self.hc(_box(xi))[0] + k_value, along
+
+    def _known(self, box: Box) -> dict[sp.Symbol, arb]:
+        """θ over a box of (e, ξ̃, θ)."""
+        return {s: ball(*side) for s, side in zip(self.symbols, box[2 * self.k :], strict=True)}
 
     # --- the box ------------------------------------------------------------------------------
 
@@ -231,7 +307,7 @@ class _Fall:
         model, k = self.model, self.k
         at = [*self.q_star, *(arb(v) for v in model.xi_star)]
         places = [*range(k), *range(model.n, len(model.z))]
-        for (lo, hi), middle, place in zip(box, at, places, strict=True):
+        for (lo, hi), middle, place in zip(box[: 2 * k], at, places, strict=True):
             low, high = model.named_bounds[place]
             if not (middle + arb(lo) > low and middle + arb(hi) < high):
                 return False
@@ -240,7 +316,9 @@ class _Fall:
     def is_closed(self, box: Box) -> bool:
         """E_W > c on every side."""
         faces = (
-            (*box[:i], (end, end), *box[i + 1 :]) for i, side in enumerate(box) for end in side
+            (*box[:i], (end, end), *box[i + 1 :])
+            for i, side in enumerate(box[: 2 * self.k])
+            for end in side
         )
         return all(by_bisection(face, self._is_high, _DEPTH) for face in faces)
 
@@ -252,26 +330,30 @@ class _Fall:
         return bool(self._energy(box) > self.level)
 
     def _energy(self, box: Box) -> arb:
-        """E_W over a box: value at the middle and slopes over the box."""
-        middle: Box = tuple((m, m) for m in (lo / 2 + hi / 2 for lo, hi in box))
+        """E_W over a box: value at the middle and slopes over the box; θ is not centred."""
+        at = tuple((m, m) for m in (lo / 2 + hi / 2 for lo, hi in box[: 2 * self.k]))
+        middle: Box = at + box[2 * self.k :]
         value = self._value_and_slopes(middle)[0]
         if middle == box:
             return value
         slopes = self._value_and_slopes(box)[1]
-        for (lo, hi), (m, _), slope in zip(box, middle, slopes, strict=True):
+        for (lo, hi), (m, _), slope in zip(box[: 2 * self.k], at, slopes, strict=True):
             value = value + slope * (ball(lo, hi) - arb(m))
         return value
 
     def _value_and_slopes(self, box: Box) -> tuple[arb, list[arb]]:
-        k, (level, along, U0, grad0) = self.k, self.rest
+        k, (level, along) = self.k, self.rest
+        known, rest_q = self._known(box), dict(zip(self.q, self.q_star, strict=True))
+        U0 = evaluate(self.U, rest_q | known)
+        grad0 = [evaluate(g, rest_q | known) for g in self.grad_U]
         xi_bar = self.xi_bar or []
         e = [ball(*side) for side in box[:k]]
         q = [v + s for v, s in zip(self.q_star, e, strict=True)]
-        xi = [v + ball(*side) for v, side in zip(xi_bar, box[k:], strict=True)]
+        xi = [v + ball(*side) for v, side in zip(xi_bar, box[k : 2 * k], strict=True)]
         k_value, dk, _ = self.kc(_box(self._c(q, xi)))
         h_value, dh, _ = self.hc(_box(xi))
-        there = dict(zip(self.q, q, strict=True))
-        stiff = self.damped - self._inertia(there) * (1 / self.tau)
+        there = dict(zip(self.q, q, strict=True)) | known
+        stiff = self._damped(known) - self._inertia(there) * (1 / self.tau)
         forces = (stiff * arb_mat([[v] for v in e])).tolist()
         value = evaluate(self.U, there) - U0 + k_value + h_value - level
         slopes = []
@@ -287,27 +369,34 @@ class _Fall:
             slopes.append(dh[i] + pull)
         return value, slopes
 
+    def _damped(self, known: dict[sp.Symbol, arb]) -> arb_mat:
+        """BDBᵀ + R."""
+        return self.damping + _constants_at(self.R, known)
+
     def _inertia(self, there: dict[sp.Symbol, arb]) -> arb_mat:
         return _constants_at(self.M, there)
 
     def _falls(self, box: Box) -> bool:
-        """S ≻ 0 over a box, in (q̇, e, ω), in few stretches or in many."""
+        """M ≻ 0 and S ≻ 0 over a box, in (q̇, e, ω), in few stretches or in many."""
         return any(self._is_positive(box, stretches) for stretches in _STRETCHES)
 
     def _is_positive(self, box: Box, stretches: int) -> bool:
         k, tau = self.k, self.tau
         e = [ball(*side) for side in box[:k]]
-        here = {s: v + d for s, v, d in zip(self.q, self.q_star, e, strict=True)}
+        known = self._known(box)
+        here = {s: v + d for s, v, d in zip(self.q, self.q_star, e, strict=True)} | known
         a, h, bends = self._mean_slopes(box, stretches)
         found = _in_series(h, bends)
         if found is None:
             return False
         series, share = found
         M = self._inertia(here)
+        if not positive(M, 0.0):
+            return False
         for i, d in enumerate(e):
             M = M + _constants_at(self.bent[i], here) * (d / 2)
         BGc = self.B * self.Gc.transpose()
-        vv = self.damped - M * (1 / tau)
+        vv = self._damped(known) - M * (1 / tau)
         ee = (a + BGc * series * BGc.transpose()) * (1 / tau)
         ew = BGc * share * (1 / (2 * tau))
         S = arb_mat(3 * k, 3 * k)
@@ -325,10 +414,10 @@ class _Fall:
         for part in range(stretches):
             share = arb(part) / stretches
             share = share.union(arb(part + 1) / stretches)
-            steps = [times(share, ball(*side)) for side in box]
+            steps = [times(share, ball(*side)) for side in box[: 2 * k]]
             q = [v + d for v, d in zip(self.q_star, steps[:k], strict=True)]
             xi = [v + d for v, d in zip(xi_bar, steps[k:], strict=True)]
-            there = dict(zip(self.q, q, strict=True))
+            there = dict(zip(self.q, q, strict=True)) | self._known(box)
             a = arb_mat([[evaluate(v, there) for v in row] for row in self.hess_U])
             found = a, self._full(self.hc, xi), self._springs_k(self._c(q, xi))
             total = [old + new / stretches for old, new in zip(total, found, strict=True)]

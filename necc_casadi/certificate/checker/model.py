@@ -125,6 +125,34 @@ class StoredDesign:
             limits = zip(self.stated_limits, u, strict=True)
             self.u_limits = [divided(list(pair), [unit, unit]) for pair, unit in limits]
 
+    def in_natural_units(
+        self,
+        H: str,
+        *matrices: list[list[str]],
+        symbols: Mapping[str, sp.Symbol],
+        known: Mapping[sp.Symbol, sp.Expr],
+    ) -> tuple[Any, ...]:
+        """H, J, R and G of another plant of these states, with values of some of its symbols."""
+        scale = self._scale
+        S, U = rationals(scale.state)[: self.n], rationals(scale.input)
+        E, T = rationals([scale.energy, scale.time])
+        sizes = {s: u * s for s, u in zip(self.z, S, strict=False) if u != 1}
+
+        def read(text: str) -> sp.Expr:
+            return parse(text, symbols).xreplace(known).xreplace(sizes)
+
+        def whole(rows: list[list[str]], unit: Callable[[int, int], sp.Expr]) -> sp.Matrix:
+            return sp.Matrix(
+                [[read(v) * unit(i, j) for j, v in enumerate(row)] for i, row in enumerate(rows)]
+            )
+
+        J, R, G = matrices
+        return (
+            read(H) / E,
+            *(whole(A, lambda i, j: T * E / (S[i] * S[j])) for A in (J, R)),
+            whole(G, lambda i, j: T * U[j] / S[i]),
+        )
+
     def _damping(self, data: Mapping[str, Any], u: list[float]) -> list[list[float]]:
         """𝒟, which takes (y, u) to (u, y), each port in its unit.
 

@@ -196,15 +196,21 @@ def slope(delta: float | None) -> str:
     return f"Φ₁ ≥ {_down(delta, 6)} everywhere, by construction of the neural Φ"
 
 
-def integral(level: float, box: Mapping[str, float], limits: Sequence[float]) -> str:
-    """Of the level of W, the box of (q, ξ) by half widths, and the limits of ζ, in model units."""
+def integral(
+    level: float,
+    box: Mapping[str, float],
+    limits: Sequence[float],
+    ranges: Mapping[str, Sequence[str]],
+) -> str:
+    """Of the level of W, the box of (q, ξ) by half widths, the limits of ζ and parameters."""
     bounds = ", ".join(f"{_down(v, 6)}" for v in limits)
     sides = ", ".join(f"{name} ± {_down(width, 6)}" for name, width in box.items())
+    known = "".join(f", {name} in [{lo}, {hi}]" for name, (lo, hi) in ranges.items())
     return (
         f"with integral action every solution that starts with W ≤ {_down(level, 6)} and {sides} "
         "about its place at rest stays there, and q → q* without offset, for every constant "
-        f"disturbance whose ζ* is within ±({bounds}); what else is claimed of solutions is of the "
-        "loop with ζ = 0"
+        f"disturbance{known} whose ζ* is within ±({bounds}); what else is claimed of solutions is "
+        "of the loop with ζ = 0"
     )
 
 

@@ -35,13 +35,15 @@ from necc_casadi.certificate.prover.arithmetic.intervals import (
 from necc_casadi.certificate.prover.arithmetic.jets import (
     Jet,
     chain,
+    constant,
     coordinates,
     expression_jets,
 )
 from necc_casadi.certificate.prover.arithmetic.networks import network_jet
 from necc_casadi.designs.design import Design
-from necc_casadi.model.lagrangian import Lagrangian, integral_obstacle, lagrangian
+from necc_casadi.model.lagrangian import Lagrangian, Plants, integral_obstacle, lagrangian
 from necc_casadi.symbolic.derivatives import gradient, sparse_hessian
+from necc_casadi.symbolic.expressions import to_text
 
 __all__ = ["IntegralProof", "prove_integral"]
 
@@ -78,6 +80,10 @@ _BATCH = 1024
 _Test = Callable[[Interval, Interval], Truth]
 
 
+#: Parameters of which all ends are tried together.
+_CORNERS = 4
+
+
 #: Boxes around ξ* in which ξ̄ is sought; of the least eigenvalue of the Hessian.
 _RADII, _MU = 2.0 ** -np.arange(2.0, 18.0), 0.5
 
@@ -90,26 +96,37 @@ class IntegralProof:
     level: float
 
 
-def prove_integral(design: Design) -> Claim | None:
-    """That the target is held without offset; None where the design has no integral action."""
+def prove_integral(design: Design, plants: Plants | None = None) -> Claim | None:
+    """That the target is held without offset; None where the design has no integral action.
+
+    With `plants` for every value of their parameters.
+    """
     if design.integral is None:
         return None
     loop, functions = design.loop, design.casimirs.functions
     obstacle = integral_obstacle(loop, functions, design.form.phi is None)
     if obstacle is not None or design.form.betas or not _is_uncoupled(design):
         return Claim("integral", False, statements.INTEGRAL_IS_NOT_COVERED)
-    terms = _Terms(design)
+    plant = lagrangian(loop, design.units, plants)
+    if plant is None:
+        return Claim("integral", False, statements.INTEGRAL_IS_NOT_COVERED)
+    terms = _Terms(design, plant)
     found = None if terms.xi_bar is None else _searched(terms)
     if found is None:
         return Claim("integral", False, statements.NO_INTEGRAL)
     level = found.level * design.units.energy
-    data = {"level": found.level, "half_widths": [float(v) for v in found.half_widths]}
+    ranges = {str(s): tuple(map(to_text, side)) for s, side in plant.ranges.items()}
+    data = {
+        "level": found.level,
+        "half_widths": [float(v) for v in found.half_widths],
+        **({"uncertain": {name: list(side) for name, side in ranges.items()}} if ranges else {}),
+    }
     kept = [*range(terms.k), *range(loop.plant.n, loop.n)]
     box = {
         loop.states[i]: float(width * design.units.state[i])
         for i, width in zip(kept, found.half_widths, strict=True)
     }
-    text = statements.integral(level, box, [float(v) for v in design.integral.limit])
+    text = statements.integral(level, box, [float(v) for v in design.integral.limit], ranges)
     return Claim("integral", True, text, data)
 
 
@@ -121,18 +138,19 @@ def _is_uncoupled(design: Design) -> bool:
 
 
 class _Terms:
-    """E_W and S over boxes of (e, ξ̃), (B, 2m), in natural units."""
+    """E_W and S over boxes of (e, ξ̃, θ), (B, 2m + parameters), in natural units but for θ."""
 
-    def __init__(self, design: Design) -> None:
-        self.design = design.natural
-        self.plant: Lagrangian = lagrangian(design.loop, design.units)
+    def __init__(self, design: Design, plant: Lagrangian) -> None:
+        self.design, self.plant = design.natural, plant
         loop, k = self.design.loop, len(self.plant.q)
         self.k, self.m = k, loop.plant.m
         slopes = sp.Matrix([[sp.diff(c, s) for s in loop.z] for c in self._casimirs])
         self.Nx, self.Nxi = _numbers(slopes[:, :k]), _numbers(slopes[:, loop.plant.n :])
         self.B, self.Gc = _numbers(self.plant.B), _numbers(loop.controller.Gc)
-        self.R = _numbers(self.plant.R)
         m = self.m
+        ends = [tuple(map(constant, side)) for side in plant.ranges.values()]
+        low, high = np.array([a.lo for a, _ in ends]), np.array([b.hi for _, b in ends])
+        self.theta = Interval(low, high)  # the ranges, rounded outwards
         self.D, self.Dc = (point(self.design.damping[s, s]) for s in (slice(m), slice(m, None)))
         self.tau = _tau(self.design)
         self.weights = self.design.form.split(self.design.weights)
@@ -199,16 +217,17 @@ class _Terms:
         variables = coordinates(Z)
         if self.xi_bar is None:
             raise ValueError("ξ̄ is not enclosed")
-        e, xi = variables[: self.k], variables[self.k :]
+        e, xi = variables[: self.k], variables[self.k : 2 * self.m]
         shifted = [*(v + float(q) for v, q in zip(e, self.q_star, strict=True)),
                    *(v + self.xi_bar[i] for i, v in enumerate(xi))]  # fmt: skip
         c = self._linear(shifted)
         total = self._hc(shifted[self.k :]) + self._kc(c)
         rest = self._at_rest
-        for i, v in enumerate(variables):
+        for i, v in enumerate(variables[: 2 * self.m]):
             total = total + v * (-rest.grad[0, i])
         total = total + (-rest.value[0])
-        symbols = dict(zip(self.plant.q, shifted[: self.k], strict=True))
+        known = (*shifted[: self.k], *variables[2 * self.m :])
+        symbols = dict(zip((*self.plant.q, *self.plant.ranges), known, strict=True))
         (own,) = expression_jets([self._closed], symbols)
         return total + own
 
@@ -226,7 +245,7 @@ class _Terms:
 
     @cached_property
     def _closed(self) -> sp.Expr:
-        """Ũ + ½eᵀ(BDBᵀ + R − M/τ)e/τ, of q."""
+        """Ũ + ½eᵀ(BDBᵀ + R − M/τ)e/τ, of q and θ."""
         q, M = self.plant.q, sp.Matrix(self.plant.M)
         star = [_exact(float(v)) for v in self.q_star]
         e = sp.Matrix([s - v for s, v in zip(q, star, strict=True)])
@@ -249,34 +268,38 @@ class _Terms:
     # --- S --------------------------------------------------------------------------------------
 
     def falls(self, Z: Interval) -> Truth:
-        """Whether S ≻ 0 on boxes (B, 2m)."""
+        """Whether S ≻ 0 and M ≻ 0 on boxes (B, 2m + parameters)."""
         with np.errstate(all="ignore"):
-            return positive_definite(self._form(Z))
+            e, theta = Z[:, : self.k], Z[:, 2 * self.m :]
+            at = _beside(e + np.broadcast_to(self.q_star, e.shape), theta)
+            inertia = self._inertia(at, e)[0]
+            return np.asarray(positive_definite(self._form(Z)) & positive_definite(inertia))
 
     def _form(self, Z: Interval) -> Interval:
         """S over boxes, (B, 3m, 3m), in (q̇, e, ω) with ω = ∇H₀ − ∇K₀."""
         k, inverse = self.k, 1.0 / self.tau
         e = Z[:, :k]
-        M, bent = self._inertia(e + np.broadcast_to(self.q_star, e.shape), e)
+        theta = Z[:, 2 * self.m :]
+        M, bent = self._inertia(_beside(e + np.broadcast_to(self.q_star, e.shape), theta), e)
         U, h, bends = self._mean_slopes(Z)
         series, share = _in_series(h, bends)
         BGc = matmul(self.B, _transposed(self.Gc))
-        damped = matmul(matmul(self.B, self.D), _transposed(self.B)) + self.R
+        R = matrix_enclosure(self.plant.R, tuple(self.plant.ranges), theta)
+        damped = matmul(matmul(self.B, self.D), _transposed(self.B)) + R
         S_vv = damped - (M + bent) * inverse
         S_ee = (U + matmul(matmul(BGc, series), _transposed(BGc))) * inverse
         S_ew = matmul(BGc, share) * (0.5 * inverse)
         S_ww = matmul(matmul(self.Gc, self.Dc), _transposed(self.Gc))
         return _blocks(S_vv, S_ee, S_ew, S_ww, Z.shape[0])
 
-    def _inertia(self, q: Interval, e: Interval) -> tuple[Interval, Interval]:
-        """M and ½Σ eᵢ ∂ᵢM over boxes, (B, k, k)."""
-        M = sp.Matrix(self.plant.M)
-        found = matrix_enclosure(M, self.plant.q, q)
+    def _inertia(self, at: Interval, e: Interval) -> tuple[Interval, Interval]:
+        """M and ½Σ eᵢ ∂ᵢM over boxes of (q, θ), (B, k, k)."""
+        M, symbols = sp.Matrix(self.plant.M), (*self.plant.q, *self.plant.ranges)
         parts = [
-            matrix_enclosure(M.diff(s), self.plant.q, q) * e[:, i][:, None, None] * 0.5
+            matrix_enclosure(M.diff(s), symbols, at) * e[:, i][:, None, None] * 0.5
             for i, s in enumerate(self.plant.q)
         ]
-        return found, reduce(lambda a, b: a + b, parts)
+        return matrix_enclosure(M, symbols, at), reduce(lambda a, b: a + b, parts)
 
     def _mean_slopes(self, Z: Interval) -> tuple[Interval, Interval, Interval]:
         """∇²U, ∇²Hc and N_ξ∇²K N_ξᵀ, averaged from rest to any point of boxes, (B, m, m) each.
@@ -286,11 +309,14 @@ class _Terms:
         if self.xi_bar is None:
             raise ValueError("ξ̄ is not enclosed")
         edges = np.arange(_ALONG + 1) / _ALONG
-        ways = [Z * Interval(np.array(a), np.array(b)) for a, b in pairwise(edges)]
+        inner, theta = Z[:, : 2 * self.m], Z[:, 2 * self.m :]
+        ways = [inner * Interval(np.array(a), np.array(b)) for a, b in pairwise(edges)]
         way = reduce(concatenate, ways)
+        theta = reduce(concatenate, [theta] * _ALONG)
         q = way[:, : self.k] + np.broadcast_to(self.q_star, (way.shape[0], self.k))
         xi = way[:, self.k :] + self.xi_bar
-        U = matrix_enclosure(sparse_hessian(self.plant.U, self.plant.q), self.plant.q, q)
+        symbols = (*self.plant.q, *self.plant.ranges)
+        U = matrix_enclosure(sparse_hessian(self.plant.U, self.plant.q), symbols, _beside(q, theta))
         form = self.design.form
         h = network_jet(form.hc, self.weights[0], xi).hess
         parts = [*(q[:, i] for i in range(self.k)), *(xi[:, i] for i in range(self.m))]
@@ -311,6 +337,12 @@ class _Parts:
         rows, kept = key
         grad, hess = self.jet.grad[rows][:, kept], self.jet.hess[rows][:, kept, kept]
         return Jet(self.jet.value[rows], grad, hess)
+
+
+def _beside(a: Interval, b: Interval) -> Interval:
+    """Columns of both."""
+    lo, hi = (np.concatenate(sides, axis=1) for sides in ((a.lo, b.lo), (a.hi, b.hi)))
+    return Interval(lo, hi)
 
 
 def _exact(value: float) -> sp.Rational:
@@ -384,19 +416,35 @@ def _promising(terms: _Terms) -> list[tuple[float, Vector, float]]:
     sides[rows, rows % d] = np.where(rows // d % 2, 1.0, -1.0)
     corners = np.array(list(product((-1.0, 0.0, 1.0), repeat=d)))
     sides = np.concatenate([sides, corners[np.abs(corners).max(axis=1) == 1]])
+    inside, sides = (_with_parameters(terms, points) for points in (inside, sides))
     found = []
     for width, aspect in product(_WIDTHS, _ASPECTS):
         half = np.concatenate([np.full(terms.m, width), np.full(terms.m, width * aspect)])
+        scale = np.concatenate([half, np.ones(len(terms.theta.lo))])
         if not _is_within(terms, half):
             continue
-        least = float(terms.energy(point(sides * half)).lo.min())
+        least = float(terms.energy(point(sides * scale)).lo.min())
         if not (np.isfinite(least) and least > 0):
             continue
-        level, Z = least, inside * half
+        level, Z = least, inside * scale
         below = terms.energy(point(Z)).lo <= level
         if np.all(terms.falls(point(Z[below]))):
             found.append((level * float(below.mean() * half.prod()), half, level))
     return sorted(found, key=lambda entry: -entry[0])
+
+
+def _with_parameters(terms: _Terms, points: Vector) -> Vector:
+    """Each point with θ in the middle of its ranges, at a corner or anywhere in them."""
+    lo, hi = terms.theta.lo, terms.theta.hi
+    if not lo.size:
+        return points
+    shares = [*product((0.0, 1.0), repeat=min(len(lo), _CORNERS)), *[()] * 2]
+    rng, found = np.random.default_rng(2), []
+    for share in shares:
+        place = rng.uniform(size=(len(points), len(lo)))
+        place[:, : len(share)] = share
+        found.append(np.hstack([points, lo + (hi - lo) * place]))
+    return np.concatenate(found)
 
 
 def _is_within(terms: _Terms, half: Vector) -> bool:
@@ -414,6 +462,7 @@ def _is_within(terms: _Terms, half: Vector) -> bool:
 
 def _is_proved(terms: _Terms, half: Vector, level: float) -> bool:
     d, box = len(half), Interval(-half, half)
+    size = np.concatenate([half, np.maximum(terms.theta.rad, np.finfo(float).tiny)])
     parts = max(2, round(_CELLS ** (1 / d)))
     for axis, side in product(range(d), (-1.0, 1.0)):
         lo, hi = -half.copy(), half.copy()
@@ -422,9 +471,17 @@ def _is_proved(terms: _Terms, half: Vector, level: float) -> bool:
         cut = subdivide(Interval(lo[kept], hi[kept]), parts)
         face = [cut[:, kept.index(i)] if i != axis else point(np.full(cut.shape[0], lo[axis]))
                 for i in range(d)]  # fmt: skip
-        if not _holds_on(terms, stack(face), half, lambda E, _: E.lo > level):
+        if not _holds_on(terms, _over_all(terms, stack(face)), size, lambda E, _: E.lo > level):
             return False
-    return _holds_on(terms, subdivide(box, parts), half, lambda E, Z: _settled(terms, E, Z, level))
+    cells = _over_all(terms, subdivide(box, parts))
+    return _holds_on(terms, cells, size, lambda E, Z: _settled(terms, E, Z, level))
+
+
+def _over_all(terms: _Terms, Z: Interval) -> Interval:
+    """Boxes of (e, ξ̃) with all θ."""
+    shape = (Z.shape[0], len(terms.theta.lo))
+    theta = Interval(np.broadcast_to(terms.theta.lo, shape), np.broadcast_to(terms.theta.hi, shape))
+    return _beside(Z, theta)
 
 
 def _settled(terms: _Terms, E: Interval, Z: Interval, level: float) -> Truth:
