@@ -300,18 +300,31 @@ class _Kept:
 def _kept(request: Request, task: _Task, clock: Clock) -> tuple[_Kept, _Task]:
     """The choice, with integral action on top where it is asked for."""
     choice, task = _chosen(task, clock)
+    plants = None
+    if task.model.uncertain and task.model.parametric is not None:
+        plants = Plants(task.model.parametric, task.model.uncertain)
     if request.integral is False:
-        return _Kept(choice.design, choice.certificate, choice), task
+        certificate = _with_momenta(choice.design, choice.certificate, plants)
+        return _Kept(choice.design, certificate, choice), task
     from necc_casadi.certificate.prover.certify import certify
     from necc_casadi.synthesis.integral import with_integral
 
     with clock.stage("integral", "adding integral action"):
         tau = None if request.integral is True else float(request.integral)
-        plants = None
-        if task.model.uncertain and task.model.parametric is not None:
-            plants = Plants(task.model.parametric, task.model.uncertain)
         made = with_integral(choice.design, tau, plants)
         return _Kept(made, certify(made, plants=plants), choice), task
+
+
+def _with_momenta(made: Design, certificate: Certificate, plants: Plants | None) -> Certificate:
+    """The certificate with what is proved of momenta that are fed from plants that vary."""
+    if plants is None:
+        return certificate
+    from necc_casadi.certificate.prover.momenta import prove_momenta
+
+    claim = prove_momenta(made, plants)
+    return (
+        certificate if claim is None else replace(certificate, claims=(*certificate.claims, claim))
+    )
 
 
 @dataclass(frozen=True, eq=False)

@@ -64,7 +64,7 @@ _BEGINS = {
 
 
 #: Claims that no exit code rests on.
-_OPTIONAL_CLAIMS = ("global", "input_limits", "clipping")
+_OPTIONAL_CLAIMS = ("global", "input_limits", "clipping", "momenta")
 
 
 #: Lists of more states than this are shortened in the text, never in the JSON.

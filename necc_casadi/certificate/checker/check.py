@@ -19,6 +19,7 @@ from necc_casadi.certificate.checker.contents import check_contents
 from necc_casadi.certificate.checker.decrease import check_decrease
 from necc_casadi.certificate.checker.equilibrium import check_equilibrium
 from necc_casadi.certificate.checker.evidence import Checked, Evidence
+from necc_casadi.certificate.checker.fed_momenta import check_momenta
 from necc_casadi.certificate.checker.global_stability import check_global
 from necc_casadi.certificate.checker.input_limits import check_clipping, check_input_limits
 from necc_casadi.certificate.checker.integral import check_integral
@@ -121,5 +122,6 @@ def _everything(evidence: Evidence, plant_file: Callable[[], str | None]) -> lis
         results.append(check_global(evidence, settled.holds))
     plain = all(part.holds for part in decrease) and measured is not None and measured.holds
     integral = check_integral(evidence, plain, plant_file)
-    results += [] if integral is None else [integral]
+    fed = check_momenta(evidence, all(part.holds for part in decrease), plant_file)
+    results += [claim for claim in (integral, fed) if claim is not None]
     return results

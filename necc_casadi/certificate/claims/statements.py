@@ -27,6 +27,7 @@ __all__ = [
     "MEASURED_OF_THIS_MASS",
     "NOT_MEASURED",
     "NO_INTEGRAL",
+    "NO_MOMENTA",
     "NO_NEIGHBOURHOOD",
     "NO_REGION",
     "ONLY_STABLE",
@@ -42,6 +43,7 @@ __all__ = [
     "input_limits",
     "integral",
     "limited_by",
+    "momenta",
     "no_clipping",
     "no_limits",
     "not_global",
@@ -95,6 +97,12 @@ NOT_MEASURED = "q̇ is not proved to be what the controller takes for the moment
 INTEGRAL_IS_NOT_COVERED = (
     "nothing is proved of the integral action: the plant, its loop or its damping is not of the "
     "kind that is covered"
+)
+
+
+NO_MOMENTA = (
+    "a controller that is fed the plant's own momenta is not proved to make V decrease for every "
+    "uncertain parameter: feed it the model's inertia times a measured velocity"
 )
 
 
@@ -214,6 +222,15 @@ def integral(
     )
 
 
+def momenta(ranges: Mapping[str, Sequence[str]]) -> str:
+    """Of a controller that is fed the plant's own momenta, and the parameters that vary."""
+    known = ", ".join(f"{name} in [{lo}, {hi}]" for name, (lo, hi) in ranges.items())
+    return (
+        f"with {known} the V made of the plant's own energy decreases, too, where the controller "
+        "is fed the plant's momenta, though the law has the inertia of the model"
+    )
+
+
 def attraction(rate: float | None) -> str:
     """Of a proved rate of decay of the linearisation; None where it has none."""
     if rate is None:
@@ -251,6 +268,7 @@ def unproved(limits: Sequence[Sequence[float]]) -> Mapping[str, frozenset[str]]:
         "clipping": frozenset([no_clipping(limits), CLIPPING_IS_NOT_COVERED]),
         "global": frozenset(map(not_global, get_args(Missing))),
         "measurement": frozenset([NOT_MEASURED]),
+        "momenta": frozenset([NO_MOMENTA]),
         "integral": frozenset([INTEGRAL_IS_NOT_COVERED, NO_INTEGRAL]),
     }
 
