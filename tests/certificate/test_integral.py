@@ -12,7 +12,7 @@ from helpers.velocity import arm, pendulum
 from necc_casadi.certificate.claims import statements
 from necc_casadi.certificate.prover.arithmetic.intervals import point
 from necc_casadi.certificate.prover.certify import certify
-from necc_casadi.certificate.prover.integral import _Terms, prove_integral
+from necc_casadi.certificate.prover.integral import IntegralTerms, prove_integral
 from necc_casadi.designs.design import Design
 from necc_casadi.designs.integral import Integral
 from necc_casadi.designs.plant_file import plant_text
@@ -186,7 +186,7 @@ _KNOWN = {}
 
 def terms_of(design):
     if id(design) not in _KNOWN:
-        _KNOWN[id(design)] = design, _Terms(design, lagrangian(design.loop, design.units))
+        _KNOWN[id(design)] = design, IntegralTerms(design, lagrangian(design.loop, design.units))
     return _KNOWN[id(design)][1]
 
 
