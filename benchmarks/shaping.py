@@ -20,13 +20,13 @@ from typing import get_args
 
 import numpy as np
 
-from necc_casadi import Design, Options, certify, design, find_casimirs, judge, load_model, simulate
+from necc_casadi import Design, Options, certify, design, find_casimirs, judge, load_model
 from necc_casadi.cases import Shape
 from necc_casadi.designs.error_bound import natural_loss
 from necc_casadi.model.samples import quasi_random
 from necc_casadi.model.target import parse_target, target_from_model
 from necc_casadi.performance.shares import sampled_share
-from necc_casadi.simulation.responses import default_horizon, random_states
+from necc_casadi.simulation.responses import default_horizon, random_states, response_from
 
 EXAMPLES = Path(__file__).parent.parent / "examples"
 TARGETS = {"pendulum": "pi/4"}
@@ -94,7 +94,7 @@ def measured(make: Callable[[Options], Design], shape: str, seed: int, starts: i
     obstacle = certificate.obstacle
     horizon = max(HORIZON, default_horizon(made))
     x0s = random_states(made, starts, seed=0)
-    responses = [simulate(made, x0, time=horizon, points=POINTS) for x0 in x0s]
+    responses = [response_from(made, x0, time=horizon, points=POINTS) for x0 in x0s]
     sampled = sampled_share(made, certificate)
     level = certificate.level or (np.inf if sampled == 1.0 else -np.inf)
     return Row(

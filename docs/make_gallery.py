@@ -31,7 +31,7 @@ from necc_casadi.report.landscape_figure import landscape_figure
 from necc_casadi.report.methods import method_rows
 from necc_casadi.report.style import write_figure
 from necc_casadi.report.to_text import percent
-from necc_casadi.simulation.responses import simulate
+from necc_casadi.simulation.responses import response_from
 from necc_casadi.synthesis.options import Options
 from necc_casadi.verdict.verdict import Verdict
 
@@ -229,7 +229,7 @@ def outcome(run: Run) -> str:
         pictures["proved region"] = region_figure(
             found.design,
             level,
-            [simulate(found.design, x0, found.design.xi_star) for x0 in starts],
+            [response_from(found.design, x0, found.design.xi_star) for x0 in starts],
             found.certificate.reach,
         )
     landscape = landscape_figure(found.design, found.certificate)

@@ -11,6 +11,7 @@ __all__ = [
     "Format",
     "InitialXi",
     "Integrator",
+    "Measured",
     "MethodName",
     "MethodWord",
     "Mode",
@@ -57,6 +58,10 @@ InitialXi = Literal["target", "linear", "minimum"]
 #: What keeps a response from what was asked: a mode of the plant that no input moves, the peak of
 #: an input, the bound of ‖A‖, or that the program finds nothing faster in this structure.
 Stop = Literal["unmoved_mode", "input_peak", "norm_bound", "structure"]
+
+
+#: What the controller takes: the model's states, or (q, q̇) where they are (q, p).
+Measured = Literal["state", "velocity"]
 
 
 #: Of a figure.

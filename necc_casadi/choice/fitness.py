@@ -61,7 +61,7 @@ def _claimed(kept: Judged) -> tuple[int, ...]:
     if not strayed or not kept.proved:
         return ()
     starts = kept.response.starts[strayed]
-    xi = np.array([kept.design.xi_at_start(row) for row in starts])
+    xi = np.array([kept.design.xi_at_state(row) for row in starts])
     inside = holds(kept.design, kept.certificate, np.concatenate([starts, xi], axis=1))
     return tuple(np.array(strayed)[inside].tolist())
 

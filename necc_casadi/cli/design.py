@@ -29,6 +29,7 @@ from necc_casadi.cli.options import (
     last_options,
     numbers,
     output_option,
+    read_integral,
     read_prefix,
     read_range,
     region_option,
@@ -80,6 +81,16 @@ __all__ = ["design_command"]
     "--compare",
     is_flag=True,
     help="Measure the design beside LQR and the optimum, from the same starts.",
+)
+@response_option(
+    "--integral",
+    metavar="[TAU]",
+    is_flag=False,
+    flag_value="auto",
+    callback=read_integral,
+    help="Integral action on the position, with which constant forces and wrong parameters leave "
+    "no offset; for fully actuated mechanical plants that measure velocities. TAU in s.  "
+    "[default: chosen]",
 )
 @response_option(
     "--polish",

@@ -21,6 +21,7 @@ __all__ = [
     "last_options",
     "numbers",
     "output_option",
+    "read_integral",
     "read_prefix",
     "read_range",
     "region_option",
@@ -67,6 +68,13 @@ def read_prefix(_ctx: click.Context, _option: click.Parameter, text: str) -> str
             f"{text!r} cannot begin the names of C: use a letter, then letters, digits and _"
         )
     return text
+
+
+def read_integral(_ctx: click.Context, _option: click.Parameter, text: str | None) -> Any:
+    """Whether there is integral action, or its τ in s."""
+    if text is None or text == "auto":
+        return text is not None
+    return Positive().convert(text, _option, _ctx)
 
 
 def read_range(_ctx: click.Context, _option: click.Parameter, text: str | None) -> Any:

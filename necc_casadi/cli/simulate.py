@@ -32,7 +32,7 @@ __all__ = ["simulate_command"]
 @numbers(
     task_option,
     "--x0",
-    "Plant state to start from, all states in order.  [default: "
+    "State to start from as it is measured, all in order.  [default: "
     "the middle between target and domain edge]",
 )
 @numbers(
@@ -75,8 +75,7 @@ def _simulate(out: Path, **options: Any) -> int:
     from necc_casadi.simulation.responses import simulate
 
     made = Design.load(out)
-    n = made.loop.plant.n
-    names = {"x0": made.loop.plant.states, "xi0": made.loop.controller.states}
+    names = {"x0": made.measurement.names, "xi0": made.loop.controller.states}
     for key, states in names.items():
         if options[key] is not None and len(options[key]) != len(states):
             raise OptionError(
@@ -84,10 +83,12 @@ def _simulate(out: Path, **options: Any) -> int:
                 f"--{key}: {len(states)} number(s) are needed, not {len(options[key])}",
                 f"Give one for each of {', '.join(states)}.",
             )
-    x0 = options["x0"] or tuple((made.z_star + made.domain.hi)[:n] / 2)
+    middle = (made.z_star + made.domain.hi)[: made.loop.plant.n] / 2
+    x0 = options["x0"] or tuple(made.lyapunov.measured(middle))
     xi0 = options["xi0"] or None
     response = simulate(made, x0, xi0, time=options["horizon"], points=options["points"])
-    text = response.csv(made.loop.states)
+    shown = (*made.measurement.names, *made.loop.controller.states)
+    text = response.csv(shown)
     if options["csv"] is not None and str(options["csv"]) != "-":
         write_text(options["csv"], text)
     if options["plot"] is not None:
@@ -107,9 +108,9 @@ def _simulate(out: Path, **options: Any) -> int:
 
 def _response_json(made: Design, response: Trajectory) -> dict[str, Any]:
     return {
-        "states": list(made.loop.states),
+        "states": [*made.measurement.names, *made.loop.controller.states],
         "t_end": float(response.t[-1]),
-        "z_end": response.z[-1].tolist(),
+        "z_end": response.shown[-1].tolist(),
         "settling_time": response.settling_time,
         "peak_input": response.peak_input,
         "complete": response.complete,
@@ -117,7 +118,8 @@ def _response_json(made: Design, response: Trajectory) -> dict[str, Any]:
 
 
 def _response_text(made: Design, response: Trajectory) -> str:
-    end = ", ".join(f"{s} = {v:.6g}" for s, v in zip(made.loop.states, response.z[-1], strict=True))
+    names = (*made.measurement.names, *made.loop.controller.states)
+    end = ", ".join(f"{s} = {v:.6g}" for s, v in zip(names, response.shown[-1], strict=True))
     settled = (
         f"settles within 2 % in {response.settling_time:.4g} s"
         if response.converged

@@ -166,7 +166,7 @@ def said_again(model: Path) -> str:
 
 
 def _said(option: click.Option, value: Any) -> list[str]:
-    if option.is_flag:
+    if option.is_flag or value is True:
         return [option.opts[-1]] if value else []
     if option.multiple:
         return [word for entry in value for word in (option.opts[-1], str(entry))]

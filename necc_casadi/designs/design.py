@@ -14,12 +14,14 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
 from necc_casadi.arrays import Vector
 from necc_casadi.casimirs.momenta import find_momenta
 from necc_casadi.designs.initial import least_over_xi
+from necc_casadi.designs.integral import with_integrators
 from necc_casadi.designs.layout import BROKEN, DESIGN_FORMAT, check_whole, from_dict, to_dict
 from necc_casadi.designs.natural import natural_parts
 from necc_casadi.designs.parts import Parts
@@ -28,6 +30,7 @@ from necc_casadi.files import refuse_unfinished, write_text
 from necc_casadi.lyapunov.lyapunov import LyapunovFunction, make_terms
 from necc_casadi.lyapunov.opened_loop import opened_at_the_input
 from necc_casadi.model.domain import Domain, domain_of
+from necc_casadi.model.measurement import Measurement
 from necc_casadi.model.sizes import input_names
 from necc_casadi.symbolic.floats import to_floats
 from necc_casadi.verdict.verdict import STABLE
@@ -104,12 +107,25 @@ class Design(Parts):
         """(x*, ξ*) in double precision, (n + nc,)."""
         return np.concatenate([to_floats(self.x_star), self.xi_star])
 
+    @cached_property
+    def measurement(self) -> Measurement:
+        """What the controller takes: the states of the plant, or (q, q̇)."""
+        return Measurement(self.loop.plant)
+
     def control(self, x: npt.ArrayLike, xi: npt.ArrayLike) -> tuple[Vector, Vector]:
-        """The controller: plant state (n,), controller state (nc,) -> u (m,), ξ̇ (nc,)."""
-        return self.lyapunov.control_law(x, xi)
+        """The controller: what is measured (n,), controller state (nc,) -> u (m,), ξ̇ (nc,).
+
+        Measured are the plant's states, or (q, q̇): ``measurement.names``. The ζ of integral action
+        comes off u; ``measured_controller`` has it with its rate.
+        """
+        return self.lyapunov.control_law(self.lyapunov.state(x), xi)
 
     def xi_at_start(self, x0: npt.ArrayLike) -> Vector:
-        """ξ(0) of this design for a measured plant state (n,), (nc,); ``necc_start`` in C.
+        """ξ(0) of this design for the first measurement (n,), (nc,); ``necc_start`` in C."""
+        return self.xi_at_state(self.lyapunov.state(x0))
+
+    def xi_at_state(self, x0: npt.ArrayLike) -> Vector:
+        """ξ(0) of this design for a plant state (n,), (nc,).
 
         With "target" the controller keeps at first what it keeps at z*, with "linear" T(x0 − x*) on
         top: ξ is γ(x0) more, which is 0 in the published loop.
@@ -181,11 +197,34 @@ class Design(Parts):
         return np.concatenate([x, self.lyapunov.stored(x, xi)])
 
     @cached_property
+    def controller(self) -> ca.Function:
+        """(x, kept) -> (u, rate): the law with what it keeps, s and the ζ of integral action."""
+        k = self.loop.plant.n // 2
+        return with_integrators(self.lyapunov, self.integral, self.z_star[:k])
+
+    @cached_property
+    def measured_controller(self) -> ca.Function:
+        """The same at what is measured."""
+        k = self.loop.plant.n // 2
+        return with_integrators(self.lyapunov, self.integral, self.z_star[:k], measured=True)
+
+    @cached_property
     def spectrum(self) -> npt.NDArray[np.complex128]:
-        """Eigenvalues of the linearisation at z̄, (n + nc,), 1/s."""
+        """Eigenvalues of the linearisation at z̄, (n + nc,), and m more with ζ, 1/s."""
         natural = self.natural
-        values = np.linalg.eigvals(natural.lyapunov.linearisation(natural.z_bar))
-        return np.asarray(values / self.units.time, complex)
+        A = natural.lyapunov.linearisation(natural.z_bar)
+        if natural.integral is not None:
+            A = natural._with_integral_action()
+        return np.asarray(np.linalg.eigvals(A) / self.units.time, complex)
+
+    def _with_integral_action(self) -> Vector:
+        """∂/∂(x, ξ, ζ) of the loop at rest."""
+        terms, n, m = self.lyapunov.terms, self.loop.plant.n, self.loop.plant.m
+        w = ca.MX.sym("w", self.loop.n + m)
+        u, rate = self.controller.call([w[:n], w[n:]])
+        slope = ca.vertcat(terms.drift(w[:n]) + terms.directions(w[:n]) @ u, rate)
+        jacobian = ca.Function("A", [w], [ca.jacobian(slope, w)])
+        return np.asarray(jacobian(np.concatenate([self.z_bar, np.zeros(m)])), float)
 
     @property
     def abscissa(self) -> float:
@@ -245,8 +284,6 @@ class Design(Parts):
         )
 
     def _port_jacobian(self, z: Vector) -> Vector:
-        import casadi as ca
-
         terms = self.lyapunov.terms
         s = ca.MX.sym("z", z.size)
         energy = self.form.controller_energy(ca.DM(self.weights))(s[terms.n :])

@@ -15,6 +15,7 @@ import sympy as sp
 from necc_casadi.arrays import Vector
 from necc_casadi.cases import InitialXi
 from necc_casadi.casimirs.casimirs import Casimirs
+from necc_casadi.designs.integral import integral_of, integral_text
 from necc_casadi.designs.outcome import Residual, Start
 from necc_casadi.designs.parts import Parts
 from necc_casadi.lyapunov.damping import dissipates
@@ -88,6 +89,7 @@ def to_dict(design: Parts) -> dict[str, Any]:
         **{key: text(getattr(plant, key)) for key in ("J", "R", "G", "H")},
         **_controller_text(design.loop, text),
         **_preliminary_text(plant, text),
+        **({} if plant.inertia is None else {"inertia": text(plant.inertia)}),
         "units": dict(plant.units),
         "domain": {name: text(bounds) for name, bounds in plant.domain.items()},
         "u_limits": plant.u_limits,
@@ -126,6 +128,7 @@ def to_dict(design: Parts) -> dict[str, Any]:
         "D": _hex(design.D),
         "Dc": _hex(design.Dc),
         **_coupling_text(design.damping, design.loop.plant.m),
+        **({} if design.integral is None else {"integral": integral_text(design.integral)}),
         "sizes": {**_sizes_text(design.sizes), "guessed": list(design.sizes.guessed)},
         "units": _sizes_text(design.units),
         "curvature": _hex(design.curvature),
@@ -218,6 +221,8 @@ def check_whole(design: Parts, data: Mapping[str, Any]) -> None:
         wanted = ((n + nc,), (m,), (), (), (r,))
         for name, shape in zip(_SIZES, wanted, strict=True):
             shapes[f"{label}: {name}"] = (np.asarray(getattr(group, name)), shape)
+    if plant.inertia is not None and plant.inertia.shape != (n // 2, n - n // 2):
+        raise ValueError("the inertia does not fit the momenta")
     if design.initial_gain is not None:
         shapes["initial_gain"] = (design.initial_gain, (nc, n))
     for name, (values, shape) in shapes.items():
@@ -229,6 +234,8 @@ def check_whole(design: Parts, data: Mapping[str, Any]) -> None:
             raise ValueError(f"sizes and units must be positive: {name}")
         if np.any(np.frexp(unit)[0] != 0.5):
             raise ValueError(f"units must be powers of two: {name}")
+    if design.integral is not None and len(design.integral.gain) != m:
+        raise ValueError("an integral action needs one number for each input")
     if design.initial_xi not in get_args(InitialXi):
         raise ValueError(f"no such ξ(0): {design.initial_xi!r}")
     if (design.initial_gain is not None) != (design.initial_xi == "linear"):
@@ -296,6 +303,7 @@ def from_dict(data: Mapping[str, Any]) -> Parts:
         preliminary=None
         if "preliminary" not in model
         else _ahead_of({k: matrix(model["preliminary"][k]) for k in _PRELIMINARY}),
+        inertia=matrix(model["inertia"]) if "inertia" in model else None,
     )
     if "gamma" in model:
         gamma = read(model["gamma"])
@@ -338,6 +346,7 @@ def from_dict(data: Mapping[str, Any]) -> Parts:
         **_scaling(data),
         seed=data["seed"],
         starts=tuple(Start(**start) for start in data["starts"]),
+        integral=integral_of(data["integral"]) if "integral" in data else None,
         learned=None if data["learned"] is None else Residual(**data["learned"]),
         versions=data["versions"],
     )

@@ -116,6 +116,7 @@ def natural_parts(parts: Parts) -> Parts:
     return replace(
         parts,
         initial_gain=None if gain is None else gain * relative,
+        integral=None if parts.integral is None else parts.integral.measured_in(units),
         loop=rescaled_loop(parts.loop, units),
         casimirs=casimirs,
         x_star=tuple(v / s for v, s in zip(parts.x_star, state[: plant.n], strict=True)),

@@ -12,6 +12,7 @@ import sympy as sp
 from necc_casadi.arrays import Vector
 from necc_casadi.cases import InitialXi
 from necc_casadi.casimirs.casimirs import Casimirs
+from necc_casadi.designs.integral import Integral
 from necc_casadi.designs.outcome import Residual, Start
 from necc_casadi.lyapunov.parameterization import Form
 from necc_casadi.model.closed_loop import ClosedLoop
@@ -49,6 +50,7 @@ class Parts:
     starts: tuple[Start, ...] = ()
     initial_xi: InitialXi = "target"  # where ξ starts
     initial_gain: Vector | None = None  # T, (nc, n), where it starts at ξ* + T(x(0) − x*)
+    integral: Integral | None = None  # integral action on the position; None: without
     learned: Residual | None = None  # of a learned Casimir; None: Casimirs in closed form
     versions: Mapping[str, str] = field(default_factory=_package_versions)
     sizes: Sizes = _OF_THE_MODEL  # natural sizes at the target; by default the model's units

@@ -53,29 +53,32 @@ class CompiledController:
 
     def init(self) -> Vector:
         """``necc_init``: ξ at the designed equilibrium, (nc,)."""
-        xi = (self.real * self.nc)()
+        xi = self._state(())
         self._function("init")(xi)
-        return np.array(xi, float)
+        return np.array(xi, float)[: self.nc]
 
     def init_at(self, x0: Sequence[float]) -> tuple[Vector, int]:
         """``necc_init_at``: plant state (n,) -> ξ at the minimum of V(x0, ·), (nc,), flags."""
-        xi = (self.real * self.nc)()
+        xi = self._state(())
         flags = self._function("init_at")(xi, self._array(x0, self.n))
-        return np.array(xi, float), int(flags)
+        return np.array(xi, float)[: self.nc], int(flags)
 
     def start(self, x0: Sequence[float]) -> tuple[Vector, int]:
         """``necc_start``: plant state (n,) -> ξ(0) of the design, (nc,), flags."""
-        xi = (self.real * self.nc)()
+        xi = self._state(())
         flags = self._function("start")(xi, self._array(x0, self.n))
-        return np.array(xi, float), int(flags)
+        return np.array(xi, float)[: self.nc], int(flags)
 
     def step(
         self, xi: Sequence[float], x: Sequence[float], dt: float
     ) -> tuple[Vector, Vector, int]:
-        """``necc_step``: ξ (nc,), measured x (n,), dt in s -> u (m,), next ξ (nc,), flags."""
-        state, u = self._array(xi, self.nc), (self.real * self.m)()
+        """``necc_step``: ξ (nc,), measured x (n,), dt in s -> u (m,), next ξ (nc,), flags.
+
+        With integral action ζ may stand behind ξ, and then it does so in what comes back.
+        """
+        state, u = self._state(xi), (self.real * self.m)()
         flags = self._function("step")(state, self._array(x, self.n), u, self.real(dt))
-        return np.array(u, float), np.array(state, float), int(flags)
+        return np.array(u, float), np.array(state, float)[: len(xi)], int(flags)
 
     def margin(self, x: Sequence[float], xi: Sequence[float]) -> float | None:
         """``necc_margin`` at (x, ξ), from 0 on in Ω; None where the code has none."""
@@ -84,6 +87,10 @@ class CompiledController:
         function = self._function("margin")
         function.restype = self.real
         return float(function(self._array(x, self.n), self._array(xi, self.nc)))
+
+    def _state(self, kept: Sequence[float]) -> Any:
+        """Memory for ``necc_state``: ξ, and room for ζ behind it."""
+        return (self.real * (self.nc + self.m))(*(float(v) for v in kept))
 
     def _function(self, name: str) -> Any:
         return getattr(self.library, f"{self.prefix}_{name}")

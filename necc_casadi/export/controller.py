@@ -11,8 +11,9 @@ from __future__ import annotations
 
 import casadi as ca
 
+from necc_casadi.designs.integral import integral_rate
 from necc_casadi.export.casadi2c import c_function
-from necc_casadi.export.margin import has_margin, margin_code
+from necc_casadi.export.margin import has_margin, margin_code, margin_takes_momenta
 from necc_casadi.export.networks import LANES, CNetwork, c_network, kernels, width
 from necc_casadi.export.source import Source
 from necc_casadi.export.templating import fill, indent
@@ -52,8 +53,27 @@ def controller(source: Source) -> str:
         init_at=_init_at(source),
         start=indent(_start(source)),
         margin=margin_code(source),
+        **_integral(source),
     )
     return source.named(text)
+
+
+def _integral(source: Source) -> dict[str, str]:
+    """What integral action adds: its code, ζ at the start, off u, and after a sample."""
+    design, real = source.design, source.number
+    if design.integral is None:
+        return dict.fromkeys(("integral", "reset", "counter", "subtract", "integrate"), "")
+    x, q_star = ca.SX.sym("x", source.n), design.z_star[: source.n // 2]
+    rate = integral_rate(design.lyapunov, design.integral, q_star, measured=True)
+    leaf = c_function("integral_rate", [("x", x)], [("rate", rate(x))], real)
+    code = fill("integral.c", leaf=leaf, limit=real.literals(design.integral.limit))
+    return {
+        "integral": code,
+        "reset": "\n    memset(state->zeta, 0, sizeof state->zeta);",
+        "counter": "\n    int i;",
+        "subtract": "\n    for (i = 0; i < NECC_NU; ++i)\n        v[i] -= state->zeta[i];",
+        "integrate": "\n    integrate(x, dt, state->zeta);",
+    }
 
 
 def _networks(source: Source) -> list[CNetwork]:
@@ -68,28 +88,41 @@ def _leaves(source: Source) -> list[str]:
     """Casimirs, H where Φ or the margin takes it, and the law given the networks' slopes."""
     design, real = source.design, source.number
     terms = design.lyapunov.terms
-    x, s = ca.SX.sym("x", source.n), ca.SX.sym("xi", source.nc)
-    z, here = ca.SX.sym("z", source.n + source.nc), ca.vertcat(x, s + terms.gamma(x))
+    x, s = ca.SX.sym("x", source.n), ca.SX.sym("xi", source.nc)  # x as it is measured
+    z, state = ca.SX.sym("z", source.n + source.nc), ca.densify(terms.measured.state(x))
+    here, grad_H = ca.vertcat(state, s + terms.gamma(state)), ca.SX.sym("grad_H", source.n)
     c = terms.c(z)
     grad_hc, gamma = ca.SX.sym("grad_hc", source.nc), ca.SX.sym("gamma", source.r)
     phi_1 = ca.SX.sym("phi_1") if source.neural_phi else ca.SX(1)
-    energy_slope = ca.vertcat(terms.grad_H(z[: source.n]), grad_hc)
+    energy_slope = ca.vertcat(grad_H, grad_hc)
     V_z = phi_1 * energy_slope + ca.jacobian(c, z).T @ gamma
     injected = -ca.DM(design.damping) @ (terms.ports(z).T @ V_z)
     u = injected[: source.m] - terms.feedback(z) @ grad_hc
     u = u if terms.preliminary is None else terms.preliminary(z[: source.n], u)
     s_dot = terms.own_structure(z) @ energy_slope + terms.own_ports(z) @ injected
-    c, V_xi, u, s_dot = ca.substitute([c, V_z[source.n :], u, s_dot], [z], [here])
+    slope_here = ca.densify(terms.measured.grad_H(x))
+    c, V_xi, u, s_dot = ca.substitute(
+        [c, V_z[source.n :], u, s_dot], [z, grad_H], [here, slope_here]
+    )
     slopes = {"grad_hc": grad_hc, "gamma": gamma, "phi_1": phi_1}
     arguments = [("x", x), ("xi", s), *((name, slopes[name]) for name in _slopes(source))]
     leaves = [c_function("casimirs", arguments[:2], [("c", c)], real)]
     if source.shaped:
         leaves.append(c_function("shifted", arguments[:2], [("held", here[source.n :])], real))
     if source.neural_phi or has_margin(source):
-        leaves.append(c_function("hamiltonian", arguments[:1], [("H", terms.H(x))], real))
+        H = terms.measured.H(x)
+        leaves.append(c_function("hamiltonian", arguments[:1], [("H", H)], real))
+    if needs_state(source):
+        leaves.append(c_function("model_state", arguments[:1], [("state", state)], real))
     leaves.append(c_function("control_law", arguments, [("u", u), ("xidot", s_dot)], real))
     leaves.append(c_function("energy_slope", arguments, [("gradient", V_xi)], real))
     return leaves
+
+
+def needs_state(source: Source) -> bool:
+    """Whether something in the code is about momenta, though q̇ is measured."""
+    linear = source.design.initial_gain is not None
+    return source.measures_velocity and (linear or margin_takes_momenta(source))
 
 
 def _slopes(source: Source) -> list[str]:
@@ -162,7 +195,14 @@ def _start(source: Source) -> str:
     if gain is None:
         return _START[source.design.initial_xi]
     x_star = real.literals(source.design.z_star[: source.n])
-    return fill("start_linear.c", x_star=x_star, gain=real.literals(gain.ravel()))
+    return fill(
+        "start_linear.c",
+        x_star=x_star,
+        gain=real.literals(gain.ravel()),
+        momenta="\nnecc_real state_0[NECC_NX];" if source.measures_velocity else "",
+        to_momenta="\nmodel_state(x0, state_0);" if source.measures_velocity else "",
+        x="state_0" if source.measures_velocity else "x0",
+    )
 
 
 def _init_at(source: Source) -> str:

@@ -21,12 +21,24 @@ def demonstration(source: Source) -> str:
     terms, real = source.design.lyapunov.terms, source.number
     x, u = ca.SX.sym("x", source.n), ca.SX.sym("u", source.m)
     x_dot = terms.drift(x) + terms.directions(x) @ u
-    columns = [*source.design.loop.states, *(f"u{i + 1}" for i in range(source.m)), "flags"]
+    measured = terms.measured
+    maps = [
+        c_function("measure", [("x", x)], [("y", measured.output(x))], real),
+        c_function("model_state", [("y", x)], [("x", measured.state(x))], real),
+    ]
+    inner = [*source.design.loop.controller.states, *source.zeta_names]
+    columns = [
+        *source.design.measurement.names,
+        *inner,
+        *(f"u{i + 1}" for i in range(source.m)),
+        "flags",
+    ]
     text = fill(
         "main.c",
         sample_time=f"{source.step_time:.6g}",
         sample_literal=real.literal(source.step_time),
         plant=c_function("plant", [("x", x), ("u", u)], [("xdot", x_dot)], real),
+        measure="\n".join(maps),
         rk4_fractions=real.literals((0, 0.5, 0.5, 1)),
         rk4_weights=real.literals((1, 2, 2, 1)),
         six=real.literal(6),
@@ -39,6 +51,6 @@ def demonstration(source: Source) -> str:
 
 
 def _start(source: Source) -> Vector:
-    """A quarter of the way from the target to the lower end of the domain, (n,)."""
+    """A quarter of the way from the target to the lower end of the domain, as measured, (n,)."""
     lo = source.design.domain.lo
-    return (0.75 * source.design.z_star + 0.25 * lo)[: source.n]
+    return source.design.lyapunov.measured((0.75 * source.design.z_star + 0.25 * lo)[: source.n])

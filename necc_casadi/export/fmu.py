@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
+from necc_casadi.arrays import Vector
 from necc_casadi.cases import Integrator, Precision
 from necc_casadi.certificate.claims.certificate import Certificate
 from necc_casadi.designs.design import Design
@@ -61,7 +62,7 @@ def export_fmu(
     wrapper = fill(
         "fmu.c",
         guid=guid,
-        x_star=source.number.literals(design.z_star[: source.n]),
+        x_star=source.number.literals(_at_target(source)),
         start_at_minimum=int(design.initial_xi == "minimum"),
         otherwise="as necc_start has it" if linear else "at the equilibrium",
         start_otherwise="necc_start(&self->state, self->x)" if linear else "NECC_OK",
@@ -80,6 +81,11 @@ def export_fmu(
         for file, content in files.items():
             bundle.writestr(zipfile.ZipInfo(file, _EPOCH), content, zipfile.ZIP_DEFLATED)
     return write_text(path, archive.getvalue())
+
+
+def _at_target(source: Source) -> Vector:
+    """What is measured at the target, (n,)."""
+    return source.design.lyapunov.measured(source.design.z_star[: source.n])
 
 
 def _platform() -> tuple[str, str]:
@@ -125,7 +131,8 @@ def _description(source: Source, guid: str, name: str) -> str:
     files = ET.SubElement(unit, "SourceFiles")
     for file in _SOURCES:
         ET.SubElement(files, "File", name=file)
-    units = [escaped(loop.plant.units.get(state, "")) for state in loop.plant.states]
+    measured = design.measurement
+    units = [escaped(measured.units.get(name, "")) for name in measured.names]
     definitions = dict.fromkeys(unit for unit in units if unit)
     if definitions:
         parent = ET.SubElement(root, "UnitDefinitions")
@@ -139,13 +146,20 @@ def _description(source: Source, guid: str, name: str) -> str:
 
 
 def _variables(root: ET.Element, source: Source, units: Sequence[str]) -> None:
-    """x, u, ξ, margin, flags, start_at_minimum; the order fixes the value references in fmu.c."""
-    design, loop = source.design, source.design.loop
+    """x, u, ξ, ζ, margin, flags, start_at_minimum; the order fixes the references in fmu.c."""
+    design, loop, at_target = source.design, source.design.loop, _at_target(source)
     margin = ["margin"] if has_margin(source) else []
     variables = ET.SubElement(root, "ModelVariables")
     inputs = [f"u{i + 1}" for i in range(loop.plant.m)]
     *reals, flags, start = identifiers(
-        [*loop.plant.states, *inputs, *loop.controller.states, *margin, "flags", "start_at_minimum"]
+        [
+            *design.measurement.names,
+            *inputs,
+            *loop.controller.states,
+            *margin,
+            "flags",
+            "start_at_minimum",
+        ]
     )
 
     def add(name: str, reference: int, kind: str, attributes: dict[str, str], **words: str) -> None:
@@ -155,7 +169,7 @@ def _variables(root: ET.Element, source: Source, units: Sequence[str]) -> None:
     for i, name in enumerate(reals):
         if i < loop.plant.n:
             unit = {"unit": text} if (text := units[i]) else {}
-            value = {"start": repr(float(design.z_star[i]))}
+            value = {"start": repr(float(at_target[i]))}
             add(name, i, "Real", value | unit, causality="input", variability="continuous")
         else:
             words = {"causality": "output", "variability": "continuous", "initial": "calculated"}
@@ -173,7 +187,7 @@ def _variables(root: ET.Element, source: Source, units: Sequence[str]) -> None:
 
 def _structure(root: ET.Element, source: Source) -> None:
     """U and the margin depend on x; ξ and the flags only at the start."""
-    n, m, nc = source.n, source.m, source.nc
+    n, m, nc = source.n, source.m, source.nc + len(source.zeta_names)
     margin = {n + m + nc + 1} if has_margin(source) else set()
     structure = ET.SubElement(root, "ModelStructure")
     on_x = " ".join(str(i + 1) for i in range(n))

@@ -34,6 +34,10 @@ _LAWS = {
 }
 
 
+#: In the state, with integral action.
+_ZETA = "\n    necc_real zeta[NECC_NU]; /* integral action */"
+
+
 #: What ``necc_start`` does.
 _START = {
     "target": "as necc_init; returns NECC_OK",
@@ -68,6 +72,9 @@ def header(source: Source) -> str:
         limits="" if plant.u_limits else "; never: the model has no limits",
         start_text=_START[design.initial_xi],
         order=_order(source),
+        measured=_measured(source),
+        has_integral=0 if design.integral is None else 1,
+        zeta=_ZETA if design.integral else "",
         real=source.real,
         integrator_name=_METHODS[source.integrator],
         guard=f"NECC_DESIGN_{design.hash[:16]}",
@@ -77,6 +84,15 @@ def header(source: Source) -> str:
 
 def _law(source: Source) -> str:
     law = _LAWS[source.shaped]
+    integral = source.design.integral
+    if integral is not None:
+        gains, limits = (", ".join(f"{v:.6g}" for v in a) for a in (integral.gain, integral.limit))
+        law += (
+            "\n *"
+            "\n * necc_step adds integral action: u less zeta, with q* the target and y = B' q',"
+            "\n *   zeta' = Ki (B' (q - q*) + tau y) within its limits, zeta = 0 at the start,"
+            f"\n *   tau = {integral.tau:.6g}, Ki = diag({gains}), limits {limits}"
+        )
     if source.design.loop.plant.preliminary is None:
         return law
     return law.replace(" *   u  =", " *   w  =") + "\n *   u  = u0(x) + B(x) w"
@@ -86,6 +102,8 @@ def _claims(source: Source) -> str:
     if not source.claims:
         return ": nothing; no certificate came with it."
     about = " (of the continuous-time loop with\n * exact arithmetic, u not saturated):"
+    if source.design.integral is not None:
+        about = about[:-2] + "; all but the last with zeta = 0):"
     return about + "".join(f"\n{_item(comment(claim))}" for claim in source.claims)
 
 
@@ -109,12 +127,24 @@ def _sampling(source: Source) -> str:
     return "\n/* " + ";\n * ".join(lines) + ". */"
 
 
+def _measured(source: Source) -> str:
+    """What x of the functions is."""
+    if not source.measures_velocity:
+        return " * x is the state of the plant, all of it measured."
+    return (
+        " * x is measured: coordinates and their rates. Momenta of a model or of an observer will\n"
+        " * not do: with other masses than the plant's they are not rates times masses."
+    )
+
+
 def _order(source: Source) -> str:
     loop = source.design.loop
     inputs = [f"input {i + 1}" for i in range(source.m)]
-    arrays = {"x": loop.plant.states, "xi": loop.controller.states, "u": inputs}
+    measured = source.design.measurement
+    known = {**loop.plant.units, **measured.units}
+    arrays = {"x": measured.names, "xi": loop.controller.states, "u": inputs}
     return "\n".join(
-        f" *   {array}[{i}]  {comment(name)}{_unit(loop.plant.units.get(name))}"
+        f" *   {array}[{i}]  {comment(name)}{_unit(known.get(name))}"
         for array, names in arrays.items()
         for i, name in enumerate(names)
     )

@@ -17,7 +17,13 @@ from necc_casadi.certificate.claims.regions import Leaf, Region
 from necc_casadi.export.source import Source
 from necc_casadi.export.templating import fill
 
-__all__ = ["has_margin", "margin_code", "margin_constants", "margin_declaration"]
+__all__ = [
+    "has_margin",
+    "margin_code",
+    "margin_constants",
+    "margin_declaration",
+    "margin_takes_momenta",
+]
 
 #: Intervals of codes that the table may have, and bits of a code.
 _MOST_RUNS, _MOST_BITS = 4096, 64
@@ -34,6 +40,8 @@ def _missing(source: Source) -> str | None:
     if certificate is None:
         return "no certificate came with the design"
     region = certificate.region
+    if source.design.integral is not None:
+        return "what integral action makes fall contains a constant that is not known"
     if region is None:
         if certificate.of_the_whole_space:
             return "what is proved holds from every state, below no level"
@@ -77,17 +85,29 @@ def margin_code(source: Source) -> str:
     kept = [region.active[i] for i in region.kept]
     table = _table(source, region) if kept else ""
     shifts = source.shaped and any(i >= source.n for i in kept)
+    momenta = margin_takes_momenta(source)
+    held = ["\n    necc_real held[NECC_NXI];\n    shifted(x, xi, held);"] if shifts else []
+    held += ["\n    necc_real at[NECC_NX];\n    model_state(x, at);"] if momenta else []
+    place = f"{'at' if momenta else 'x'}, {'held' if shifts else 'xi'}"
     return fill(
         "margin.c",
         level=real.literal(level),
         height=real.literal(height),
         table=table,
-        outside=f" || !marked(x, {'held' if shifts else 'xi'})" if kept else "",
-        held=["", "\n    necc_real held[NECC_NXI];\n    shifted(x, xi, held);"][shifts],
+        outside=f" || !marked({place})" if kept else "",
+        held="".join(held),
         H="" if source.neural_phi else "H[1], ",
         energy="" if source.neural_phi else "hamiltonian(x, H);",
         value="s.value" if source.neural_phi else "(s.value + H[0])",
     )
+
+
+def margin_takes_momenta(source: Source) -> bool:
+    """Whether the cells of the region are in momenta, though q̇ is measured."""
+    region = None if source.certificate is None else source.certificate.region
+    if not has_margin(source) or not isinstance(region, Region) or not source.measures_velocity:
+        return False
+    return any(source.n // 2 <= region.active[i] < source.n for i in region.kept)
 
 
 def _level(source: Source, certificate: Certificate) -> tuple[float, float]:

@@ -16,7 +16,9 @@ __all__ = ["export_mex"]
 
 
 def export_mex(design: Design, folder: Path, prefix: str = PREFIX) -> Path:
-    """Write a C file for ``mex``: in MATLAB ``[u, xidot] = necc_control(x, xi)``.
+    """Write a C file for ``mex``: in MATLAB ``[u, xidot] = necc_control(x, xi)``, x as measured.
+
+    With integral action ζ stands below ξ in xi, and its rate, not held within limits, in xidot.
 
     The file stands alone (``mex -largeArrayDims necc_control.c``) and has the function's name.
     It is the continuous law in double precision, for simulation beside MATLAB's own integrators;
@@ -28,7 +30,7 @@ def export_mex(design: Design, folder: Path, prefix: str = PREFIX) -> Path:
     OutputError
         When the file cannot be written.
     """
-    law = design.lyapunov.control_law_function
+    law = design.measured_controller
     x, xi = law.mx_in()
     name = f"{prefix}_control"
     named = ca.Function(name, [x, xi], law.call([x, xi]), ["x", "xi"], ["u", "xidot"])

@@ -95,13 +95,14 @@ def largest_stable_time(design: Design, integrator: Integrator = "heun") -> floa
 def _linear_parts(design: Design) -> tuple[Vector, ...]:
     """A (n × n), G (n × m), u_x, u_ξ, f_x, f_ξ at z̄ and its holding input, natural units."""
     design = design.natural
-    terms, law = design.lyapunov.terms, design.lyapunov.control_law_function
-    x, xi, u = (ca.MX.sym(s, k) for s, k in (("x", terms.n), ("xi", terms.nc), ("u", terms.m)))
+    terms, law = design.lyapunov.terms, design.controller
+    kept = terms.nc + (0 if design.integral is None else terms.m)
+    x, xi, u = (ca.MX.sym(s, k) for s, k in (("x", terms.n), ("xi", kept), ("u", terms.m)))
     law_u, law_f = law.call([x, xi])
     plant = terms.drift(x) + terms.directions(x) @ u
     jacobians = [ca.jacobian(plant, x), terms.directions(x)]
     jacobians += [ca.jacobian(f, s) for f in (law_u, law_f) for s in (x, xi)]
-    z = design.stored_z_bar
+    z = np.concatenate([design.stored_z_bar, np.zeros(kept - terms.nc)])
     x_bar, xi_bar = z[: terms.n], z[terms.n :]
     u_bar = law.call([x_bar, xi_bar])[0]
     values = ca.Function("parts", [x, xi, u], jacobians).call([x_bar, xi_bar, u_bar])

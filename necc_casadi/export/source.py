@@ -115,6 +115,16 @@ class Source:
         return isinstance(self.design.loop, ShapedLoop)
 
     @property
+    def measures_velocity(self) -> bool:
+        """Whether the code takes q̇ where the model has momenta."""
+        return self.design.measurement.of_velocities
+
+    @property
+    def zeta_names(self) -> list[str]:
+        """Names of the entries of ζ; none without integral action."""
+        return [] if self.design.integral is None else [f"zeta{i + 1}" for i in range(self.m)]
+
+    @property
     def neural_phi(self) -> bool:
         """Whether Φ is a network; else Φ = H + Hc + C and Φ₁ = Φ₂ = 1."""
         return self.design.form.phi is not None

@@ -28,8 +28,8 @@ _SATURATED = 1
 
 
 def reference_step(design: Design, integrator: Integrator) -> ca.Function:
-    """(x, s, dt) -> (u, s after dt): one sample with x held, before saturation."""
-    terms, law = design.lyapunov.terms, design.lyapunov.control_law_function
+    """(x, s, dt) -> (u, s after dt): one sample with the measured x held, before saturation."""
+    terms, law = design.lyapunov.terms, design.lyapunov.measured_law_function
     x, xi, dt = ca.MX.sym("x", terms.n), ca.MX.sym("xi", terms.nc), ca.MX.sym("dt")
     u, k1 = law.call([x, xi])
     if integrator == "euler":
@@ -86,18 +86,18 @@ def vector_table(source: Source) -> str:
     rng = np.random.default_rng(0)
     lo, hi = design.domain.lo, design.domain.hi
     step, scales = reference_step(design, source.integrator), rounding_scales(design)
-    law = design.lyapunov.control_law_function
+    V, law = design.lyapunov, design.lyapunov.measured_law_function
     rows = []
     for index in range(_COUNT):
         inside = rng.uniform(0.75 * lo + 0.25 * hi, 0.25 * lo + 0.75 * hi)
         z = inside if index > 0 else design.z_star
-        x = real.rounded(z[:n])
-        s = real.rounded(design.lyapunov.stored(z[:n], z[n:]))
+        x = real.rounded(V.measured(z[:n]))
+        s = real.rounded(V.stored(z[:n], z[n:]))
         dt = float(real.rounded(np.array(source.step_time * (1 + index % 3) / 3)))
         u, rate = (np.asarray(v, float).ravel() for v in law.call([x, s]))
         after = np.asarray(step.call([x, s, dt])[1], float).ravel()
         limited, flags = _saturated(design, u)
-        allowed = [np.asarray(v, float).ravel() for v in scales.call([x, s, dt])]
+        allowed = [np.asarray(v, float).ravel() for v in scales.call([V.state(x), s, dt])]
         outputs = [u, rate, limited, after, *allowed]
         rows.append(_row([x, s], outputs, dt, flags, real))
     text = fill(

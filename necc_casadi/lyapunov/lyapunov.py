@@ -29,9 +29,19 @@ from necc_casadi.casimirs.casimirs import Casimirs
 from necc_casadi.lyapunov.parameterization import Form
 from necc_casadi.lyapunov.sympy2casadi import casadi_function
 from necc_casadi.model.closed_loop import ClosedLoop
+from necc_casadi.model.measurement import Measurement
 from necc_casadi.model.plant import Plant
 
-__all__ = ["LyapunovFunction", "Terms", "control_law", "make_terms", "state_rate", "value"]
+__all__ = [
+    "LyapunovFunction",
+    "MeasuredTerms",
+    "Terms",
+    "control_law",
+    "make_terms",
+    "measured_law",
+    "state_rate",
+    "value",
+]
 
 
 _Symbols = TypeVar("_Symbols", ca.MX, ca.SX)
@@ -39,6 +49,16 @@ _Symbols = TypeVar("_Symbols", ca.MX, ca.SX)
 
 #: Weights that are known, or to be found.
 _Weights = TypeVar("_Weights", ca.DM, ca.MX)
+
+
+@dataclass(frozen=True, eq=False)
+class MeasuredTerms:
+    """What the controller measures, y, and the plant's energy in it; y = x, or (q, q̇)."""
+
+    state: ca.Function  # y -> x
+    output: ca.Function  # x -> y
+    H: ca.Function  # y -> 1
+    grad_H: ca.Function  # y -> n, ∇H at x
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,6 +83,7 @@ class Terms:
     slopes: ca.Function  # x -> n × nc, ∇γ
     own_structure: ca.Function  # z -> nc × (n + nc), M_s
     own_ports: ca.Function  # z -> nc × (m + channels), 𝒢_s
+    measured: MeasuredTerms
 
 
 def make_terms(loop: ClosedLoop, casimirs: Casimirs) -> Terms:
@@ -87,6 +108,17 @@ def make_terms(loop: ClosedLoop, casimirs: Casimirs) -> Terms:
         slopes=casadi_function("slopes", plant.x, loop.slopes),
         own_structure=casadi_function("own_structure", loop.z, loop.own_structure),
         own_ports=casadi_function("own_ports", loop.z, loop.own_ports),
+        measured=_measured(plant),
+    )
+
+
+def _measured(plant: Plant) -> MeasuredTerms:
+    known = Measurement(plant)
+    return MeasuredTerms(
+        state=casadi_function("state", known.y, known.state),
+        output=casadi_function("measure", plant.x, known.output),
+        H=casadi_function("H", known.y, [known.energy]),
+        grad_H=casadi_function("grad_H", known.y, known.slopes),
     )
 
 
@@ -134,15 +166,40 @@ def control_law(
 
     For weights (form.size,) and 𝒟 (m + channels)².
     """
-    z, energy = ca.MX.sym("z", terms.n + terms.nc), form.controller_energy(weights)
-    V = value(terms, z, energy, form.casimir(weights), form.outer(weights))
-    grad_Hc = ca.gradient(energy(z[terms.n :]), z)[terms.n :]
-    injected = -damping @ terms.ports(z).T @ ca.gradient(V, z)
+    return _law(terms, form, weights, damping, x, s, terms.H(x), terms.grad_H(x))
+
+
+def measured_law(
+    terms: Terms, form: Form, weights: _Weights, damping: ca.DM | ca.MX, y: ca.MX, s: ca.MX
+) -> tuple[ca.MX, ca.MX]:
+    """The same at what is measured, y (n,): no mass stands in it that the law does not need."""
+    of = terms.measured
+    return _law(terms, form, weights, damping, of.state(y), s, of.H(y), of.grad_H(y))
+
+
+def _law(
+    terms: Terms,
+    form: Form,
+    weights: _Weights,
+    damping: ca.DM | ca.MX,
+    x: ca.MX,
+    s: ca.MX,
+    H: ca.MX,
+    grad_H: ca.MX,
+) -> tuple[ca.MX, ca.MX]:
+    """The control law with H and ∇H at x as they are known there."""
+    z, e = ca.MX.sym("z", terms.n + terms.nc), ca.MX.sym("H")
+    g, energy = ca.MX.sym("grad_H", terms.n), form.controller_energy(weights)
+    Hc = energy(z[terms.n :])
+    V = form.outer(weights)(e + Hc, form.casimir(weights)(terms.c(z)))
+    grad_Hc = ca.gradient(Hc, z)[terms.n :]
+    V_z = ca.gradient(V, z) + ca.gradient(V, e) * ca.vertcat(g, ca.DM(terms.nc, 1))
+    injected = -damping @ terms.ports(z).T @ V_z
     u = injected[: terms.m] - terms.feedback(z) @ grad_Hc
-    slope = ca.vertcat(terms.grad_H(z[: terms.n]), grad_Hc)
-    s_dot = terms.own_structure(z) @ slope + terms.own_ports(z) @ injected
-    here = ca.vertcat(x, s + terms.gamma(x))
-    u, s_dot = ca.substitute([u, s_dot], [z], [here])
+    s_dot = terms.own_structure(z) @ ca.vertcat(g, grad_Hc) + terms.own_ports(z) @ injected
+    here = ca.densify(ca.vertcat(x, s + terms.gamma(x)))
+    known = [here, ca.densify(H), ca.densify(grad_H)]
+    u, s_dot = ca.substitute([u, s_dot], [z, e, g], known)
     return (u if terms.preliminary is None else terms.preliminary(x, u)), s_dot
 
 
@@ -208,6 +265,14 @@ class LyapunovFunction:
         shape = (*x.shape[:-1], self.terms.nc)
         return np.asarray(self.terms.gamma(x.T), float).T.reshape(shape)
 
+    def measured(self, x: npt.ArrayLike) -> Vector:
+        """What the controller measures at states (…, n)."""
+        return _in_rows(self.terms.measured.output, x)
+
+    def state(self, y: npt.ArrayLike) -> Vector:
+        """Plant states of what is measured, (…, n)."""
+        return _in_rows(self.terms.measured.state, y)
+
     def vector_field(self, z: npt.ArrayLike) -> Vector:
         """Ż of the damped closed loop, (n + nc,) for each state."""
         return _in_rows(self.vector_field_function, z)
@@ -248,11 +313,19 @@ class LyapunovFunction:
 
     @cached_property
     def control_law_function(self) -> ca.Function:
-        """(x, s) -> (u, ṡ), the exported controller; s = ξ in the published loop."""
+        """(x, s) -> (u, ṡ) at states; s = ξ in the published loop."""
         x, s = ca.MX.sym("x", self.terms.n), ca.MX.sym("xi", self.terms.nc)
         weights, damping = ca.DM(self.weights), ca.DM(self.damping)
         u, s_dot = control_law(self.terms, self.form, weights, damping, x, s)
         return ca.Function("necc", [x, s], [u, s_dot], ["x", "xi"], ["u", "xi_dot"])
+
+    @cached_property
+    def measured_law_function(self) -> ca.Function:
+        """(y, s) -> (u, ṡ), the exported controller; y is what it measures, s = ξ − γ(x)."""
+        y, s = ca.MX.sym("x", self.terms.n), ca.MX.sym("xi", self.terms.nc)
+        weights, damping = ca.DM(self.weights), ca.DM(self.damping)
+        u, s_dot = measured_law(self.terms, self.form, weights, damping, y, s)
+        return ca.Function("necc", [y, s], [u, s_dot], ["x", "xi"], ["u", "xi_dot"])
 
     @cached_property
     def vector_field_function(self) -> ca.Function:

@@ -16,17 +16,19 @@ from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import sympy as sp
 
 from necc_casadi.arrays import Vector
+from necc_casadi.cases import Measured
 from necc_casadi.errors import InputError, ModelError, OptionError
 from necc_casadi.model.closed_loop import ClosedLoop, interconnect
 from necc_casadi.model.control_affine import ControlAffine
 from necc_casadi.model.controller import Controller, default_controller, make_controller
 from necc_casadi.model.cost import weight_matrix
+from necc_casadi.model.measurement import canonical_inertia
 from necc_casadi.model.mechanical_file import MECHANICAL, Mechanical, is_mechanical, phase_space
 from necc_casadi.model.modulated import (
     Modulated,
@@ -53,7 +55,8 @@ _AFFINE = ("x", "f", "G")
 
 _OPTIONAL = (
     "params", "xi", "Jc", "Rc", "Gc", "casimirs", "target", "domain", "sizes", "D", "Dc",
-    "u_limits", "units", "name", "state_cost", "input_cost", "u", "E", "f",
+    "u_limits", "units", "name", "state_cost", "input_cost", "u", "E", "f", "measured",
+    "uncertain",
 )  # fmt: skip
 
 
@@ -88,6 +91,7 @@ class Model:
     input_cost: Vector | None = None  # m × m, ≻ 0
     params: Mapping[str, sp.Expr] = field(default_factory=dict)  # values, exact
     notes: tuple[str, ...] = ()  # names in the file that look mistyped
+    uncertain: Mapping[str, tuple[sp.Expr, sp.Expr]] = field(default_factory=dict)  # parameters
     parametric: Parametric | None = None  # the plant before values were put in; None: no parameter
 
     @cached_property
@@ -313,6 +317,7 @@ def _build(title: str, space: dict[str, Any], overrides: Mapping[str, str]) -> M
         state_cost=_weight(file, "state_cost", plant.n, strict=False),
         input_cost=_weight(file, "input_cost", plant.m, strict=True),
         params=file.parameters,
+        uncertain=_uncertain(file),
         parametric=_parametric(file),
     )
 
@@ -335,9 +340,15 @@ def _plant(title: str, file: _Reader) -> System:
     else:
         J, R, G, H = _structure(file, x)
         if not file.inputs and _source(space) is None:
-            return make_plant(x, J, R, G, H, **about)
+            return _measured(make_plant(x, J, R, G, H, **about), file)
         E = None if _source(space) is None else file.read(_source(space))
         plant = make_modulated(x, [_real(s) for s in file.inputs], J, R, G, E, H, **about)
+    if _wants_velocity(file):
+        raise ModelError(
+            "model_file",
+            f"measured = 'velocity', but {path.name} gives no momenta",
+            _NO_VELOCITY,
+        )
     if limits is not None and len(limits) != plant.m:
         raise ModelError(
             "limits",
@@ -345,6 +356,32 @@ def _plant(title: str, file: _Reader) -> System:
             "Give one (lo, hi) pair per input.",
         )
     return plant
+
+
+_NO_VELOCITY = "Leave `measured` out: the controller takes the states."
+
+
+def _wants_velocity(file: _Reader) -> bool:
+    """Whether the controller takes q̇; by default it does where M, V and B are the whole plant."""
+    alone = is_mechanical(file.space) and not file.inputs and _source(file.space) is None
+    value = file.space.get("measured", "velocity" if alone else "state")
+    if value not in get_args(Measured):
+        raise ModelError(
+            "model_file",
+            f"measured = {value!r}",
+            f"Use {' or '.join(map(repr, get_args(Measured)))}.",
+        )
+    return bool(value == "velocity")
+
+
+def _measured(plant: Plant, file: _Reader) -> Plant:
+    """The plant with its inertia where q̇ is measured in place of p."""
+    if not _wants_velocity(file):
+        return plant
+    if not is_mechanical(file.space):
+        return replace(plant, inertia=canonical_inertia(plant))
+    parts = (file.attempt(name) for name in ("M", "V", "B", "friction"))
+    return replace(plant, inertia=sp.ImmutableMatrix(Mechanical.of(plant.x, *parts).M))
 
 
 def _structure(file: _Reader, x: Sequence[sp.Symbol]) -> tuple[Any, Any, Any, Any]:
@@ -559,6 +596,32 @@ def _domain(file: _Reader, states: Sequence[str]) -> dict[str, tuple[sp.Expr, sp
                 "domain",
                 f"domain[{name}] = {bounds} is not a pair (lo, hi) with lo < hi",
                 "Give two finite numbers.",
+            )
+        result[name] = (lo, hi)
+    return result
+
+
+def _uncertain(file: _Reader) -> dict[str, tuple[sp.Expr, sp.Expr]]:
+    """Ranges of parameters that are constant and unknown."""
+    result = {}
+    for name, side in file.table("uncertain").items():
+        value = file.parameters.get(name)
+        if value is None:
+            raise ModelError(
+                "param",
+                f"uncertain names {name}, which is no parameter",
+                f"Parameters: {', '.join(file.parameters) or 'none; write params = {m: 1}'}.",
+            )
+        try:
+            lo, hi = (file.read(bound) for bound in side)
+            held = bool(lo <= value <= hi) and bool(lo.is_finite and hi.is_finite)
+        except (TypeError, ValueError, AttributeError):
+            held = False
+        if not held:
+            raise ModelError(
+                "param",
+                f"uncertain[{name}] = {side} is not a pair (lo, hi) around {value}",
+                "Give the least and the greatest value, the nominal one between them.",
             )
         result[name] = (lo, hi)
     return result

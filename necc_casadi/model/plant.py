@@ -60,6 +60,8 @@ class Plant(Equilibria):
     sizes: Mapping[str, sp.Expr] = field(default_factory=dict)  # name of a state or input -> size
     properties: tuple[Property, ...] = ()
     preliminary: Preliminary | None = None
+    #: M(q), n/2 × n/2, where x = (q, p) with p = M q̇ and the controller takes (q, q̇); None: x
+    inertia: sp.ImmutableMatrix | None = None
 
     @cached_property
     def grad_H(self) -> sp.ImmutableMatrix:

@@ -110,7 +110,7 @@ def design_feedback(design: Design) -> Feedback:
     """The controller of a design, ξ starting where the design says."""
     natural, V = design.natural, design.natural.lyapunov
     law = V.control_law_function
-    return Feedback(law, V.terms.nc, lambda x: V.stored(x, natural.xi_at_start(x)))
+    return Feedback(law, V.terms.nc, lambda x: V.stored(x, natural.xi_at_state(x)))
 
 
 def lqr_feedback(plant: PlantModel) -> Feedback | None:

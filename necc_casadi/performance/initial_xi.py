@@ -77,7 +77,7 @@ def with_better_start(design: Design, cost: QuadraticCost) -> Design:
     if not all(least_over_xi(natural.lyapunov, natural, start)[1] for start in starts):
         tried.pop()
     V = natural.lyapunov
-    kept = [V.stored(x, made.natural.xi_at_start(x)) for made in tried for x in starts]
+    kept = [V.stored(x, made.natural.xi_at_state(x)) for made in tried for x in starts]
     count = len(tried)
     found = responses(plant, design_feedback(design), starts * count, decay_time(design), kept)
     arrived, paid = found.arrived.reshape(count, -1), found.cost.reshape(count, -1)

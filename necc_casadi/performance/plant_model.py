@@ -64,7 +64,7 @@ def plant_model(design: Design, cost: QuadraticCost) -> PlantModel:
     natural, units = design.natural, design.units
     terms = natural.lyapunov.terms
     x = natural.z_star[: terms.n]
-    u = natural.control(x, natural.xi_star)[0]
+    u = natural.lyapunov.control_law(x, natural.xi_star)[0]
     A, B = plant_linearisation(terms, x, u)
     scaled = cost.measured_in(units)
     limits = natural.loop.plant.u_limits or ((-np.inf, np.inf),) * terms.m

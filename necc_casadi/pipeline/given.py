@@ -49,6 +49,8 @@ class RunOptions(TypedDict, total=False):
         Parameters of the model file by name, ``{"k": 4}``.
     compare
         Measure the design beside LQR and the optimum.
+    integral
+        Integral action on the position; ``True``, or its τ in s.
     settle
         Time in which a response is to come within 2 %, s.
     rate
@@ -106,6 +108,7 @@ class RunOptions(TypedDict, total=False):
     check: bool
     param: Mapping[str, Any]
     compare: bool
+    integral: float | bool
     settle: float
     rate: float
     peak_u: _Numbers
@@ -241,6 +244,8 @@ def _reader(hint: Any) -> Callable[[Any], Any]:
         return lambda value: _only(value, (str,), str, "is no text")
     if hint == _Numbers:
         return _numbers
+    if hint == float | bool:
+        return lambda value: value if isinstance(value, bool) else _positive(value)
     if hint == Sequence[int]:
         return lambda value: tuple(_count(width, 1) for width in np.atleast_1d(value).tolist())
     if get_origin(hint) is tuple:

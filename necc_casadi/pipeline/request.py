@@ -80,6 +80,7 @@ class Request:
     settle: float | None = None  # s, 2 %
     peak_u: tuple[float, ...] | None = None
     compare: bool = False
+    integral: float | bool = False  # integral action; a number: its τ, s
     damping: tuple[float, ...] | None = None
     controller_damping: tuple[float, ...] | None = None
     plots: bool = True
@@ -224,6 +225,24 @@ def _peak(values: tuple[float, ...], m: int) -> Vector:
     return np.array(values * (m if len(values) == 1 else 1), float)
 
 
+def _check_integral(request: Request, options: Options) -> None:
+    """Refuse what is asked of the loop without ζ, or of another V than integral action covers."""
+    beside = {
+        "--rate, --settle and --peak-u": options.rate is not None or options.peak_u is not None,
+        "--compare": request.compare,
+        "--sweep-a": request.sweep_a is not None,
+        "--learn-casimir": options.learn_casimir,
+        "--casimir-form sum": options.casimir_form == "sum",
+    }
+    for name, given in beside.items():
+        if given:
+            raise OptionError(
+                "usage",
+                f"--integral: {name} would be about the loop without integral action",
+                "Drop one of them.",
+            )
+
+
 def read_options(request: Request, model: Model) -> Options:
     """The options of the synthesis, from the request and the model."""
     m = model.system.m
@@ -239,4 +258,6 @@ def read_options(request: Request, model: Model) -> Options:
         options = replace(options, Dc=Dc)
     options = _with_response(request.chosen.over(options), request, m)
     check_options(options)
+    if request.integral is not False:
+        _check_integral(request, options)
     return options

@@ -23,6 +23,7 @@ from necc_casadi.folders import whole_folder
 from necc_casadi.interrupts import uninterrupted
 from necc_casadi.methods.find import Found, find_method
 from necc_casadi.methods.method import Method
+from necc_casadi.model.lagrangian import Plants
 from necc_casadi.model.model_file import Model
 from necc_casadi.model.plant import Plant
 from necc_casadi.model.spot_checks import check_model_at
@@ -108,15 +109,13 @@ def run_design(request: Request, say: Say) -> Findings:
         return found
     _load_designs()
     if request.out is None:
-        choice, task = _chosen(task, clock)
-        return _studied(request, task, found, choice, clock)
+        kept, task = _kept(request, task, clock)
+        return _studied(request, task, found, kept, clock)
     with whole_folder(request.out, _expected(request)) as folder:
-        choice, task = _chosen(task, clock)
+        kept, task = _kept(request, task, clock)
         with ThreadPoolExecutor(1) as pool:  # compilers run while the loop is simulated and drawn
-            exported = pool.submit(
-                _exported, request, choice.design, choice.certificate, folder, clock
-            )
-            found = _studied(request, task, found, choice, clock)
+            exported = pool.submit(_exported, request, kept.design, kept.certificate, folder, clock)
+            found = _studied(request, task, found, kept, clock)
             return _written(request, found, folder, exported.result, clock)
 
 
@@ -152,14 +151,13 @@ def _expected(request: Request) -> tuple[str, ...]:
     return (*_EXPECTED, *figures)
 
 
-def _studied(
-    request: Request, task: _Task, found: Findings, choice: Choice, clock: Clock
-) -> Findings:
+def _studied(request: Request, task: _Task, found: Findings, kept: _Kept, clock: Clock) -> Findings:
     """What is to be known of the design that is kept, nothing written."""
     from necc_casadi.performance.shares import sampled_share
 
-    made, certificate = choice.design, choice.certificate
-    motion, share = _simulated(made, clock), sampled_share(made, certificate)
+    made, certificate, choice = kept.design, kept.certificate, kept.choice
+    motion = _simulated(made, clock)
+    share = sampled_share(made, certificate) if made.integral is None else None  # Ω is without ζ
     sweep: tuple[SweepPoint, ...] = ()
     if request.sweep_a is not None:
         sweep = _swept(request.sweep_a, task, choice.kept.options, clock)
@@ -170,12 +168,12 @@ def _studied(
         found=task.found,
         design=made,
         certificate=certificate,
-        choice=choice,
+        choice=choice if made.integral is None else None,
         responses=motion.responses,
         domain_share=share,
         simulated_share=motion.share,
         sampling=sampling,
-        asked=choice.kept.asked,
+        asked=choice.kept.asked if made.integral is None else None,
         performance=_compared(request, task, made, clock) if request.compare else None,
         sweep=sweep,
         notes=(
@@ -245,6 +243,11 @@ def _judged(request: Request, say: Say) -> _Task:
     found = find_method(model, x_star, method, say, most, options.cost)
     if options.learn_casimir and found.learnable is not None:
         found = replace(found, chosen=found.learnable)
+    if request.integral is not False and found.chosen is not None:
+        from necc_casadi.synthesis.integral import refuse_integral
+
+        method = found.chosen
+        refuse_integral(method.loop, method.casimirs.functions, options.phi == "sum")
     if found.chosen is not None and not is_plant:
         notes += check_model_at(found.chosen.loop, x_star)
     if found.published is not None:
@@ -297,6 +300,45 @@ def _chosen(task: _Task, clock: Clock) -> tuple[Choice, _Task]:
 
 
 @dataclass(frozen=True, eq=False)
+class _Kept:
+    """The design that is kept and what is proved of it, with why its V is the one that is kept."""
+
+    design: Design
+    certificate: Certificate
+    choice: Choice
+
+
+def _kept(request: Request, task: _Task, clock: Clock) -> tuple[_Kept, _Task]:
+    """The choice, with integral action on top where it is asked for."""
+    choice, task = _chosen(task, clock)
+    plants = None
+    if task.model.uncertain and task.model.parametric is not None:
+        plants = Plants(task.model.parametric, task.model.uncertain)
+    if request.integral is False:
+        certificate = _with_momenta(choice.design, choice.certificate, plants)
+        return _Kept(choice.design, certificate, choice), task
+    from necc_casadi.certificate.prover.certify import certify
+    from necc_casadi.synthesis.integral import with_integral
+
+    with clock.stage("integral", "adding integral action"):
+        tau = None if request.integral is True else float(request.integral)
+        made = with_integral(choice.design, tau, plants)
+        return _Kept(made, certify(made, plants=plants), choice), task
+
+
+def _with_momenta(made: Design, certificate: Certificate, plants: Plants | None) -> Certificate:
+    """The certificate with what is proved of momenta that are fed from plants that vary."""
+    if plants is None:
+        return certificate
+    from necc_casadi.certificate.prover.momenta import prove_momenta
+
+    claim = prove_momenta(made, plants)
+    return (
+        certificate if claim is None else replace(certificate, claims=(*certificate.claims, claim))
+    )
+
+
+@dataclass(frozen=True, eq=False)
 class _Motion:
     """The design in time."""
 
@@ -307,12 +349,12 @@ class _Motion:
 def _simulated(made: Design, clock: Clock) -> _Motion:
     """Simulate, for no longer than somebody waits."""
     from necc_casadi.simulation.convergence import simulated_share
-    from necc_casadi.simulation.responses import random_states, simulate
+    from necc_casadi.simulation.responses import random_states, response_from
 
     with clock.stage("simulate", "simulating"):
         ends = time.perf_counter() + _PATIENCE
         responses = tuple(
-            simulate(made, x0, patience=max(0.0, ends - time.perf_counter()))
+            response_from(made, x0, patience=max(0.0, ends - time.perf_counter()))
             for x0 in random_states(made, _RESPONSES, made.seed)
         )
         return _Motion(responses, simulated_share(made, made.momenta, made.seed))

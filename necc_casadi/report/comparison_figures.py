@@ -84,7 +84,7 @@ def draw_step(axis: Axes, design: Design, found: Performance, name: str) -> None
         label = named_state(design, k)
     else:
         k = input_names(design.loop.plant.m).index(name)
-        held = design.control(design.z_star[:n], design.xi_star)[0]
+        held = design.lyapunov.control_law(design.z_star[:n], design.xi_star)[0]
         _panel(axis, [(c, c.u[:, k]) for c in found.step], float(held[k]))
         draw_limits(axis, design, k)
         label = named_input(design, k)

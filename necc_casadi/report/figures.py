@@ -321,7 +321,7 @@ def draw_over_time(
         finished(axis, [("y", *named_state(design, k))])
     elif name in inputs:
         k = inputs.index(name)
-        steady = design.control(design.z_bar[:n], design.z_bar[n:])[0]
+        steady = design.lyapunov.control_law(design.z_bar[:n], design.z_bar[n:])[0]
         axis.axhline(steady[k], ls="--", lw=1, color=_TARGET)
         draw_limits(axis, design, k)
         finished(axis, [("y", *named_input(design, k))])

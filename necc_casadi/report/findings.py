@@ -109,10 +109,18 @@ class Findings:
     def warnings(self) -> tuple[str, ...]:
         """What the response has beyond what is claimed, and V elsewhere."""
         if self.choice is None:
-            return ()
+            return self._restless
         from necc_casadi.choice.fitness import response_warnings
 
         return response_warnings(self.choice)
+
+    @property
+    def _restless(self) -> tuple[str, ...]:
+        """Random starts that do not settle, where nothing else is known of responses."""
+        left = sum(not response.converged for response in self.responses)
+        if not left:
+            return ()
+        return (f"{left} of {len(self.responses)} random starts do not settle at the target",)
 
     @property
     def exit_code(self) -> int:

@@ -16,7 +16,7 @@ from necc_casadi.report.figures import (
 from necc_casadi.report.findings import Findings
 from necc_casadi.report.landscape_figure import landscape_figure
 from necc_casadi.report.style import styled
-from necc_casadi.simulation.responses import Trajectory, simulate
+from necc_casadi.simulation.responses import Trajectory, response_from
 
 __all__ = ["figures_of", "from_the_boundary"]
 
@@ -52,4 +52,4 @@ def from_the_boundary(design: Design, certificate: Certificate) -> list[Trajecto
     if certificate.level is None:
         return []
     starts = region_boundary(design, certificate.level, certificate.reach)
-    return [simulate(design, start, design.xi_star, points=_POINTS) for start in starts]
+    return [response_from(design, start, design.xi_star, points=_POINTS) for start in starts]

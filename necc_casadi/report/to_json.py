@@ -72,6 +72,7 @@ def to_json(found: Findings) -> dict[str, Any]:
 def _design(design: Design, measures: Measures, certificate: Certificate | None) -> dict[str, Any]:
     curvatures, spectrum = measures.curvatures.tolist(), measures.spectrum.tolist()
     return {
+        "measured": list(design.measurement.names),
         "xi_star": design.xi_star.tolist(),
         "initial_xi": design.initial_xi,
         "initial_gain": None if design.initial_gain is None else design.initial_gain.tolist(),
@@ -94,8 +95,31 @@ def _design(design: Design, measures: Measures, certificate: Certificate | None)
         "D": design.D.tolist(),
         "Dc": design.Dc.tolist(),
         "damping": design.damping.tolist(),
+        "integral": _integral(design, certificate),
         "seed": design.seed,
         "starts": [_start(start) for start in design.starts],
+    }
+
+
+def _integral(design: Design, certificate: Certificate | None) -> dict[str, Any] | None:
+    """Integral action, and what is proved of it in the units of the model."""
+    integral = design.integral
+    if integral is None:
+        return None
+    claims = () if certificate is None else certificate.claims
+    claim = next((c for c in claims if c.name == "integral" and c.holds), None)
+    found: dict[str, Any] = {"level": None, "box": None}
+    if claim is not None:
+        n, k, units = design.loop.plant.n, design.loop.plant.n // 2, design.units
+        kept = [*range(k), *range(n, design.loop.n)]
+        widths = zip(kept, claim.data["half_widths"], strict=True)
+        found["level"] = claim.data["level"] * units.energy
+        found["box"] = {design.loop.states[i]: w * float(units.state[i]) for i, w in widths}
+    return {
+        "tau": integral.tau,
+        "gain": integral.gain.tolist(),
+        "limit": integral.limit.tolist(),
+        **found,
     }
 
 

@@ -65,7 +65,7 @@ _BEGINS = {
 
 
 #: Claims that no exit code rests on.
-_OPTIONAL_CLAIMS = ("global", "input_limits", "clipping")
+_OPTIONAL_CLAIMS = ("global", "input_limits", "clipping", "momenta")
 
 
 #: Lists of more states than this are shortened in the text, never in the JSON.
@@ -124,7 +124,7 @@ def facts(found: Findings) -> list[tuple[str, str]]:
     if found.sampling is not None:
         rows.append(("sampled", _sampled(found.sampling)))
     if found.certificate is not None:
-        rows += _region_rows(found, found.certificate)
+        rows += integral_rows(found) + _region_rows(found, found.certificate)
         rows += [
             (mark(claim), f"{claim.name}: {claim.statement}") for claim in found.certificate.claims
         ]
@@ -165,7 +165,8 @@ def brief(found: Findings) -> list[tuple[str, str]]:
     if found.responses:
         rows.append(("responses", _responses(found)))
     if certificate is not None:
-        rows += _region_rows(found, certificate)[:2]
+        rows += integral_rows(found)
+        rows += [] if integral_rows(found) else _region_rows(found, certificate)[:2]
         proved = [claim.name for claim in certificate.claims if claim.holds]
         rows.append(("proved", ", ".join(proved) or "nothing"))
         rows += [
@@ -175,6 +176,21 @@ def brief(found: Findings) -> list[tuple[str, str]]:
         ]
     rows += [("note", note) for note in found.notes]
     return rows + ([("written", _folders(found.files))] if found.files else [])
+
+
+def integral_rows(found: Findings) -> list[tuple[str, str]]:
+    """Integral action, and what is proved of it; none without."""
+    design, certificate = found.design, found.certificate
+    if design is None or design.integral is None or certificate is None:
+        return []
+    integral = design.integral
+    gains, limits = (", ".join(f"{v:.4g}" for v in a) for a in (integral.gain, integral.limit))
+    head = f"τ = {integral.tau:.4g} s, Kᵢ = {gains}, |ζ| ≤ {limits}"
+    claim = next((c for c in certificate.claims if c.name == "integral" and c.holds), None)
+    if claim is None:
+        return [("integral", f"{head}; nothing is proved of it")]
+    level = rounded_down(claim.data["level"] * design.units.energy, 4)
+    return [("integral", f"{head}; no offset from W ≤ {level} in the box that is proved")]
 
 
 def _brief_design(found: Findings, measures: Measures) -> str:
@@ -224,6 +240,8 @@ def _outcome(found: Findings) -> str:
     certificate = found.certificate
     if found.status == "certified" and certificate is not None:
         kind = _kind(certificate)
+        if found.design is not None and found.design.integral is not None:
+            kind = "without offset under constant disturbances, in a proved box"
         if not found.warnings:
             return f"certified, {kind}"
         whole = found.choice is not None and found.choice.kept.whole
@@ -420,6 +438,13 @@ def _starts(kept: Judged) -> str:
 
 def _region_rows(found: Findings, certificate: Certificate) -> list[tuple[str, str]]:
     """The proved region beside what was sampled and simulated."""
+    rows = _regions(found, certificate)
+    if found.design is None or found.design.integral is None:
+        return rows
+    return [(label, f"with ζ = 0: {text}") for label, text in rows[:1]]
+
+
+def _regions(found: Findings, certificate: Certificate) -> list[tuple[str, str]]:
     claim, whole = region_claim(certificate), global_claim(certificate)
     proved = claim is not None and claim.holds
     if whole is not None and whole.holds:

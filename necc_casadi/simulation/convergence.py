@@ -76,7 +76,12 @@ def converging(design: Design, starts: npt.ArrayLike, *, tolerance: float = 1e-4
     units, design = design.units, design.natural
     horizon, z_bar = _PATIENCE * default_horizon(design), design.z_bar
     z, size = np.array(starts, float) / units.state, design.sizes.state
-    lost = _LOST * float(np.linalg.norm((design.domain.hi - design.domain.lo) / size))
+    if design.integral is not None:  # ζ starts at 0, where it ends on the plant of the model
+        z = np.hstack([z, np.zeros((len(z), design.loop.plant.m))])
+        z_bar = np.concatenate([z_bar, np.zeros(design.loop.plant.m)])
+        size = np.concatenate([size, design.sizes.input])
+    reach = (design.domain.hi - design.domain.lo) / design.sizes.state
+    lost = _LOST * float(np.linalg.norm(reach))
     near = _ARRIVED * np.linalg.norm((z - z_bar) / size, axis=1)
     arrived = near == 0
     alive = np.flatnonzero(~arrived)

@@ -14,9 +14,16 @@ import numpy.typing as npt
 from necc_casadi.arrays import Vector
 from necc_casadi.designs.design import Design
 from necc_casadi.interrupts import interruptible
-from necc_casadi.simulation.saturated import applied, saturated_field
+from necc_casadi.simulation.saturated import applied, disturbed_field, integrators
 
-__all__ = ["SETTLED", "Trajectory", "default_horizon", "random_states", "simulate"]
+__all__ = [
+    "SETTLED",
+    "Trajectory",
+    "default_horizon",
+    "random_states",
+    "response_from",
+    "simulate",
+]
 
 
 #: A response has settled when it stays within this share of its first distance from z̄.
@@ -71,6 +78,15 @@ class Trajectory:
     size: Vector | float = 1.0  # (n + nc,) natural sizes, for distances
     cut: bool = False  # the time for computing was over
     demand: Vector | None = None  # (N, m) what the law asked for; None: u
+    measured: Vector | None = None  # (N, n) what the controller takes; None: the plant's states
+    zeta: Vector | None = None  # (N, m) of integral action
+
+    @property
+    def shown(self) -> Vector:
+        """(N, n + nc): what the controller takes, then its states."""
+        if self.measured is None:
+            return self.z
+        return np.hstack([self.measured, self.z[:, self.measured.shape[1] :]])
 
     @property
     def settling_time(self) -> float:
@@ -106,9 +122,9 @@ class Trajectory:
         return self.demand is not None and bool(np.any(np.abs(self.demand - self.u) > 0))
 
     def csv(self, names: Sequence[str]) -> str:
-        """The response as CSV with a header: t, states, inputs, V."""
+        """The response as CSV with a header: t, what is measured, ξ, inputs, V."""
         header = ["t", *names, *[f"u{i + 1}" for i in range(self.u.shape[1])], "V"]
-        rows = np.column_stack([self.t, self.z, self.u, self.V])
+        rows = np.column_stack([self.t, self.shown, self.u, self.V])
         lines = [",".join(header), *[",".join(map(repr, map(float, row))) for row in rows]]
         return "\n".join(lines) + "\n"
 
@@ -146,6 +162,7 @@ def simulate(
     time: float | None = None,
     points: int = 501,
     patience: float = np.inf,
+    disturbance: npt.ArrayLike | None = None,
 ) -> Trajectory:
     """Integrate the damped closed loop from (x0, ξ0), u within the limits of the model.
 
@@ -154,7 +171,7 @@ def simulate(
     design
         The design.
     x0
-        Plant state (n,).
+        What is measured at first, (n,): the plant's state, or (q, q̇).
     xi0
         Controller state (nc,); by default the one of the design, as ``necc_start`` sets it.
     time
@@ -163,6 +180,8 @@ def simulate(
         Number of output times.
     patience
         Seconds of computing after which the response is cut; some stiff loops take very long.
+    disturbance
+        Constant d (m,), added to what the plant gets.
 
     Returns
     -------
@@ -184,15 +203,36 @@ def simulate(
     >>> bool(abs(response.z[-1] - made.z_bar).max() < 1e-2)
     True
     """
+    at = design.lyapunov.state(x0)
+    return response_from(
+        design, at, xi0, time=time, points=points, patience=patience, disturbance=disturbance
+    )
+
+
+def response_from(
+    design: Design,
+    x0: npt.ArrayLike,
+    xi0: npt.ArrayLike | None = None,
+    *,
+    time: float | None = None,
+    points: int = 501,
+    patience: float = np.inf,
+    disturbance: npt.ArrayLike | None = None,
+) -> Trajectory:
+    """The same from a state of the plant, (n,), whatever is measured of it."""
     natural, units = design.natural, design.units
     V = natural.lyapunov
-    xi = design.xi_at_start(x0) if xi0 is None else np.asarray(xi0, float)
+    xi = design.xi_at_state(x0) if xi0 is None else np.asarray(xi0, float)
     z0 = np.concatenate([np.asarray(x0, float), xi]) / units.state
     horizon = default_horizon(design) if time is None else float(time)
     grid = np.linspace(0.0, horizon, points)
-    states, cut = _integrated(natural, z0, grid / units.time, patience)
-    n, count = V.terms.n, len(states)
-    demand = V.control_law(states[:, :n], states[:, n:])[0] * units.input
+    m, n, N = V.terms.m, V.terms.n, len(z0)
+    d = (np.zeros(m) if disturbance is None else np.asarray(disturbance, float)) / units.input
+    w0 = np.concatenate([z0, np.zeros(integrators(design))])
+    both, cut = _integrated(natural, w0, grid / units.time, patience, d)
+    states, zeta, count = both[:, :N], both[:, N:], len(both)
+    asked = V.control_law(states[:, :n], states[:, n:])[0]
+    demand = (asked - zeta if zeta.size else asked) * units.input
     return Trajectory(
         t=grid[:count],
         z=states * units.state,
@@ -204,10 +244,16 @@ def simulate(
         size=design.sizes.state,
         cut=cut,
         demand=demand,
+        measured=design.lyapunov.measured(states[:, :n] * units.state[:n])
+        if design.measurement.of_velocities
+        else None,
+        zeta=zeta * units.input if zeta.size else None,
     )
 
 
-def _integrated(design: Design, z0: Vector, grid: Vector, patience: float) -> tuple[Vector, bool]:
+def _integrated(
+    design: Design, z0: Vector, grid: Vector, patience: float, d: Vector
+) -> tuple[Vector, bool]:
     """States at the times of an equidistant grid, as far as they were reached; whether cut."""
     began, found = clock.monotonic(), [z0[None, :]]
     count = -(-(len(grid) - 1) // _PIECES)  # outputs of one piece
@@ -218,7 +264,7 @@ def _integrated(design: Design, z0: Vector, grid: Vector, patience: float) -> tu
                     return np.concatenate(found), True
                 few = min(count, len(grid) - 1 - done)
                 integrator = _integrator(design, float(grid[1]), few)
-                ends = np.asarray(integrator(x0=found[-1][-1])["xf"], float).T
+                ends = np.asarray(integrator(x0=found[-1][-1], p=d)["xf"], float).T
                 found.append(ends)
                 if not np.all(np.isfinite(ends)):
                     break
@@ -229,8 +275,9 @@ def _integrated(design: Design, z0: Vector, grid: Vector, patience: float) -> tu
 
 @lru_cache(maxsize=8)
 def _integrator(design: Design, step: float, count: int) -> ca.Function:
-    """CVODES from z0 over `count` equidistant times; kept, because building it takes longer."""
-    z = ca.MX.sym("z", len(design.loop.z))
+    """CVODES from (z, ζ) over `count` equidistant times; kept, because building it takes longer."""
+    w = ca.MX.sym("w", len(design.loop.z) + integrators(design))
+    d = ca.MX.sym("d", design.loop.plant.m)
     options = {
         "abstol": _ABSOLUTE,
         "reltol": _RELATIVE,
@@ -238,6 +285,6 @@ def _integrator(design: Design, step: float, count: int) -> ca.Function:
         "show_eval_warnings": False,
         "disable_internal_warnings": True,
     }
-    field = {"x": z, "ode": saturated_field(design)(z)}
+    field = {"x": w, "p": d, "ode": disturbed_field(design)(w, d)}
     grid = (step * np.arange(1, count + 1)).tolist()
     return ca.integrator("response", "cvodes", field, 0.0, grid, options)

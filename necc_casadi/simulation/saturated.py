@@ -11,7 +11,7 @@ from necc_casadi.arrays import Vector
 from necc_casadi.designs.design import Design
 from necc_casadi.lyapunov.lyapunov import state_rate
 
-__all__ = ["applied", "saturated_field"]
+__all__ = ["applied", "disturbed_field", "integrators", "saturated_field"]
 
 
 def applied(design: Design, u: Vector) -> Vector:
@@ -23,17 +23,45 @@ def applied(design: Design, u: Vector) -> Vector:
     return np.asarray(np.clip(u, low, high), float)
 
 
+def integrators(design: Design) -> int:
+    """Entries of ζ."""
+    return 0 if design.integral is None else design.loop.plant.m
+
+
 @lru_cache(maxsize=4)
 def saturated_field(design: Design) -> ca.Function:
-    """Z -> ż with u clipped; where the model has no limits, the loop that the proofs are about."""
+    """(z, ζ) -> (ż, ζ̇) with u clipped; without limits and ζ the loop that proofs of V are about."""
+    if design.loop.plant.u_limits is None and design.integral is None:
+        return design.lyapunov.vector_field_function
+    w = ca.MX.sym("z", len(design.loop.z) + integrators(design))
+    rate = disturbed_field(design)(w, ca.DM(design.loop.plant.m, 1))
+    return ca.Function("saturated", [w], [rate], ["z"], ["z_dot"])
+
+
+@lru_cache(maxsize=4)
+def disturbed_field(design: Design) -> ca.Function:
+    """(z, ζ), d -> (ż, ζ̇) with u clipped and a constant d (m,) added to what the plant gets."""
     V, limits = design.lyapunov, design.loop.plant.u_limits
-    if limits is None:
-        return V.vector_field_function
-    terms, (low, high) = V.terms, np.array(limits, float).T
-    z = ca.MX.sym("z", terms.n + terms.nc)
-    x, xi = z[: terms.n], z[terms.n :]
-    u, s_dot = V.control_law_function.call([x, xi - terms.gamma(x)])
-    held = ca.fmin(ca.fmax(u, ca.DM(low)), ca.DM(high))
-    x_dot = terms.drift(x) + terms.directions(x) @ held
+    terms, N = V.terms, V.terms.n + V.terms.nc
+    w, d = ca.MX.sym("w", N + integrators(design)), ca.MX.sym("d", terms.m)
+    x, s = w[: terms.n], w[terms.n : N] - terms.gamma(w[: terms.n])
+    zeta = [w[N:]] if design.integral is not None else []
+    u, kept_dot = design.controller.call([x, ca.vertcat(s, *zeta)])
+    s_dot = kept_dot[: terms.nc]
+    zeta_dot = [_projected(design, v, kept_dot[terms.nc :]) for v in zeta]
+    if limits is not None:
+        low, high = np.array(limits, float).T
+        u = ca.fmin(ca.fmax(u, ca.DM(low)), ca.DM(high))
+    x_dot = terms.drift(x) + terms.directions(x) @ (u + d)
     rate = state_rate(terms, x, x_dot, s_dot)
-    return ca.Function("saturated", [z], [rate], ["z"], ["z_dot"])
+    return ca.Function("loop", [w, d], [ca.vertcat(rate, *zeta_dot)], ["w", "d"], ["rate"])
+
+
+def _projected(design: Design, zeta: ca.MX, rate: ca.MX) -> ca.MX:
+    """The rate, without what leads out of |ζᵢ| ≤ bᵢ."""
+    if design.integral is None:
+        return rate
+    b = ca.DM(design.integral.limit)
+    none = ca.DM(*rate.shape)
+    up = ca.if_else(zeta >= b, ca.fmin(rate, none), rate)
+    return ca.if_else(zeta <= -b, ca.fmax(up, none), up)

@@ -62,6 +62,8 @@ class OtherPlants:
         self.names = [str(symbol) for symbol in plant.symbols]
         self.nominal = np.array([to_float(plant.values[name]) for name in self.names])
         self._natural = natural
+        self._integrators = np.zeros(0 if design.integral is None else design.loop.plant.m)
+        self._size = len(natural.z_star) + len(self._integrators)
         self._field = self._as_field(plant)
         self._rest = self._as_equations()
         horizon = _HORIZONS * default_horizon(design)
@@ -69,16 +71,15 @@ class OtherPlants:
         self._integrator = self._as_integrator()
 
     def _as_field(self, plant: Parametric) -> ca.Function:
-        """(z, θ) -> ż in natural units, and u; z = (x, s), s what the controller keeps."""
+        """(z, θ) -> ż in natural units, and u; z = (x, s, ζ), s what the controller keeps."""
         own, units = self.design.loop.plant, self.design.units
         known = (*own.x, *plant.symbols)
         slopes = casadi_function("slopes", known, gradient(plant.H, own.x))
         structure = casadi_function("structure", known, plant.J - plant.R)
         ports = casadi_function("ports", known, plant.G)
-        V, n = self._natural.lyapunov, own.n
-        z = ca.MX.sym("z", V.terms.n + V.terms.nc)
+        n, z = own.n, ca.MX.sym("z", self._size)
         theta = ca.MX.sym("theta", len(plant.symbols))
-        asked, s_dot = V.control_law_function.call([z[:n], z[n:]])
+        asked, s_dot = self._natural.controller.call([z[:n], z[n:]])
         u = asked
         if self._natural.loop.plant.u_limits is not None:
             low, high = np.array(self._natural.loop.plant.u_limits, float).T
@@ -90,12 +91,12 @@ class OtherPlants:
 
     def _as_equations(self) -> ca.Function:
         """(z, θ) -> ż and ∂ż/∂z."""
-        z, theta = ca.MX.sym("z", len(self._natural.z_star)), ca.MX.sym("theta", len(self.names))
+        z, theta = ca.MX.sym("z", self._size), ca.MX.sym("theta", len(self.names))
         slope = self._field(z, theta)[0]
         return ca.Function("rest", [z, theta], [slope, ca.jacobian(slope, z)])
 
     def _as_integrator(self) -> ca.Function:
-        z, theta = ca.MX.sym("z", len(self._natural.z_star)), ca.MX.sym("theta", len(self.names))
+        z, theta = ca.MX.sym("z", self._size), ca.MX.sym("theta", len(self.names))
         options = {
             "abstol": _ABSOLUTE,
             "reltol": _RELATIVE,
@@ -109,7 +110,7 @@ class OtherPlants:
 
     def at_rest(self, theta: Vector) -> Vector | None:
         """Z at rest with these parameters, in natural units; None: none nearby that is stable."""
-        at = self._natural.stored_z_bar
+        at = np.concatenate([self._natural.stored_z_bar, self._integrators])
         for share in np.linspace(0, 1, _STEPS + 1)[1:]:
             values = self.nominal + share * (theta - self.nominal)
             for _ in range(_NEWTON):
@@ -131,8 +132,9 @@ class OtherPlants:
         rest = self.at_rest(theta)
         times, peak = np.full(len(starts), np.inf), np.zeros(self.design.loop.plant.m)
         for index, x0 in enumerate(starts):
-            kept = self.design.lyapunov.stored(x0, self.design.xi_at_start(x0))
+            kept = self.design.lyapunov.stored(x0, self.design.xi_at_state(x0))
             z0 = np.concatenate([np.asarray(x0, float), kept]) / units.state
+            z0 = np.concatenate([z0, self._integrators])
             z = self._response(z0, theta)
             u = np.asarray(self._field.call([z.T, np.tile(theta[:, None], len(z))])[1], float)
             peak = np.fmax(peak, np.abs(u).max(axis=1) * units.input)
@@ -158,7 +160,9 @@ class OtherPlants:
 
     def _settled(self, z: Vector, rest: Vector) -> float:
         """Time after which it stays within 2 % of the first distance from rest, s; ∞: never."""
-        distance = np.linalg.norm((z - rest) / self._natural.sizes.state, axis=1)
+        sizes = self._natural.sizes
+        size = np.concatenate([sizes.state, sizes.input[: len(self._integrators)]])
+        distance = np.linalg.norm((z - rest) / size, axis=1)
         near = SETTLED * distance[0]
         outside = np.flatnonzero(distance > near)
         if outside.size == 0:

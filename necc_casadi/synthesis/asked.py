@@ -15,7 +15,7 @@ import numpy as np
 from necc_casadi.arrays import Vector
 from necc_casadi.cases import Stop
 from necc_casadi.designs.design import Design
-from necc_casadi.simulation.responses import random_states, simulate
+from necc_casadi.simulation.responses import random_states, response_from
 from necc_casadi.synthesis.options import Options
 from necc_casadi.synthesis.quadratic_cost import Responsive
 from necc_casadi.synthesis.responsive import LeastCost, Reached
@@ -201,7 +201,8 @@ class _Search:
 def demanded(design: Design) -> Vector:
     """Least and greatest u that the law asks for from random starts, (m, 2)."""
     found = [
-        simulate(design, x0, points=_POINTS) for x0 in random_states(design, _STARTS, design.seed)
+        response_from(design, x0, points=_POINTS)
+        for x0 in random_states(design, _STARTS, design.seed)
     ]
     demands = [r.u if r.demand is None else r.demand for r in found]
     low, high = (
@@ -212,7 +213,7 @@ def demanded(design: Design) -> Vector:
 
 def _holding(design: Design) -> Vector:
     n = design.loop.plant.n
-    return design.control(design.z_bar[:n], design.z_bar[n:])[0]
+    return design.lyapunov.control_law(design.z_bar[:n], design.z_bar[n:])[0]
 
 
 def _inside(u: Vector, limits: Vector) -> bool:

@@ -9,6 +9,8 @@ from __future__ import annotations
 import binascii
 import hashlib
 import zlib
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 from necc_casadi.certificate.checker.attraction import check_attraction, check_only_stable
@@ -17,13 +19,17 @@ from necc_casadi.certificate.checker.contents import check_contents
 from necc_casadi.certificate.checker.decrease import check_decrease
 from necc_casadi.certificate.checker.equilibrium import check_equilibrium
 from necc_casadi.certificate.checker.evidence import Checked, Evidence
+from necc_casadi.certificate.checker.fed_momenta import check_momenta
 from necc_casadi.certificate.checker.global_stability import check_global
 from necc_casadi.certificate.checker.input_limits import check_clipping, check_input_limits
+from necc_casadi.certificate.checker.integral import check_integral
+from necc_casadi.certificate.checker.measurement import check_measurement
 from necc_casadi.certificate.checker.model import StoredDesign
 from necc_casadi.certificate.checker.reading import (
     check_design,
     model_hash,
     read_folder,
+    read_plant,
     unreadable,
 )
 from necc_casadi.certificate.checker.region.region import check_region, region_proof
@@ -58,7 +64,8 @@ def check(folder: Path) -> tuple[Checked, ...]:
         design_text, stored, design = read_folder(folder)
         check_design(design)
         evidence = Evidence(StoredDesign(design), stored)
-        results = [_as_worded(evidence, result) for result in _everything(evidence)]
+        plant = partial(read_plant, folder, design_text)
+        results = [_as_worded(evidence, result) for result in _everything(evidence, plant)]
         contents = check_contents(evidence, results)
     except _UNREADABLE as problem:
         raise unreadable(folder, problem) from None
@@ -92,13 +99,14 @@ def _settled(evidence: Evidence, sound: bool) -> Checked:
     return (check_attraction if name == "attraction" else check_only_stable)(evidence, sound)
 
 
-def _everything(evidence: Evidence) -> list[Checked]:
+def _everything(evidence: Evidence, plant_file: Callable[[], str | None]) -> list[Checked]:
     """Each claim, given those that it rests on."""
     certificate = evidence.certificate
     equilibrium, decrease = check_equilibrium(evidence), check_decrease(evidence)
     sound = equilibrium.holds and all(part.holds for part in decrease)
     settled = _settled(evidence, sound)
-    results = [equilibrium, *decrease, settled]
+    measured = check_measurement(evidence)
+    results = [equilibrium, *decrease, *(() if measured is None else (measured,)), settled]
     region = certificate.region
     proof, region_holds = None if region is None else region_proof(evidence, region), False
     if "region" in evidence.claims or certificate.region is not None:
@@ -112,4 +120,8 @@ def _everything(evidence: Evidence) -> list[Checked]:
         results.append(check_clipping(evidence, proof, anywhere and settled.holds))
     if evidence.claimed("global") or certificate.is_global:
         results.append(check_global(evidence, settled.holds))
+    plain = all(part.holds for part in decrease) and measured is not None and measured.holds
+    integral = check_integral(evidence, plain, plant_file)
+    fed = check_momenta(evidence, all(part.holds for part in decrease), plant_file)
+    results += [claim for claim in (integral, fed) if claim is not None]
     return results

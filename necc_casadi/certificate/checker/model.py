@@ -23,6 +23,25 @@ from necc_casadi.symbolic.expressions import parse
 __all__ = ["StoredDesign"]
 
 
+class StoredIntegral:
+    """Integral action: τ in natural units, and the limits of ζ as they stand.
+
+    Raises
+    ------
+    ValueError
+        When a number is not positive, or not one for each input.
+    """
+
+    def __init__(self, data: Mapping[str, Any], scale: StoredUnits) -> None:
+        (tau,), self.gain, self.stated = (
+            numbers(v) for v in ([data["tau"]], data["gain"], data["limit"])
+        )
+        positive = all(0 < v < math.inf for v in (tau, *self.gain, *self.stated))
+        if not positive or not len(self.gain) == len(self.stated) == len(scale.input):
+            raise ValueError("integral action needs positive numbers, one for each input")
+        self.tau = tau / scale.time
+
+
 class StoredDesign:
     """design.json as expressions and exact numbers, measured in the natural units that it names.
 
@@ -49,6 +68,12 @@ class StoredDesign:
         )
         self.G = self._matrix(model["G"], x, lambda i, j: T * U[j] / plant[i])
         self.m = self.G.cols
+        self.inertia: sp.Matrix | None = None
+        if "inertia" in model:
+            k = self.n // 2
+            self.inertia = self._matrix(
+                model["inertia"], x[:k], lambda i, j: plant[j] / (T * plant[k + i])
+            )
         self.loop: StoredLoop
         if "gamma" in model:
             pairs = zip(model["gamma"], inner, strict=True)
@@ -88,6 +113,7 @@ class StoredDesign:
         u = scale.input
         self.damping = self._damping(data, u)
         self.weights = divided(numbers(data["weights"]), scale.weights)
+        self.integral = StoredIntegral(data["integral"], scale) if "integral" in data else None
         units = dict(zip(self.states, S, strict=True))
         self.domain = {
             name: tuple(parse(v, {}) / units[name] for v in bounds)
@@ -98,6 +124,34 @@ class StoredDesign:
         if self.stated_limits is not None:
             limits = zip(self.stated_limits, u, strict=True)
             self.u_limits = [divided(list(pair), [unit, unit]) for pair, unit in limits]
+
+    def in_natural_units(
+        self,
+        H: str,
+        *matrices: list[list[str]],
+        symbols: Mapping[str, sp.Symbol],
+        known: Mapping[sp.Symbol, sp.Expr],
+    ) -> tuple[Any, ...]:
+        """H, J, R and G of another plant of these states, with values of some of its symbols."""
+        scale = self._scale
+        S, U = rationals(scale.state)[: self.n], rationals(scale.input)
+        E, T = rationals([scale.energy, scale.time])
+        sizes = {s: u * s for s, u in zip(self.z, S, strict=False) if u != 1}
+
+        def read(text: str) -> sp.Expr:
+            return parse(text, symbols).xreplace(known).xreplace(sizes)
+
+        def whole(rows: list[list[str]], unit: Callable[[int, int], sp.Expr]) -> sp.Matrix:
+            return sp.Matrix(
+                [[read(v) * unit(i, j) for j, v in enumerate(row)] for i, row in enumerate(rows)]
+            )
+
+        J, R, G = matrices
+        return (
+            read(H) / E,
+            *(whole(A, lambda i, j: T * E / (S[i] * S[j])) for A in (J, R)),
+            whole(G, lambda i, j: T * U[j] / S[i]),
+        )
 
     def _damping(self, data: Mapping[str, Any], u: list[float]) -> list[list[float]]:
         """𝒟, which takes (y, u) to (u, y), each port in its unit.

@@ -14,13 +14,13 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from necc_casadi.certificate.claims.claim import CERTIFICATE_FILE, DESIGN_FILE
+from necc_casadi.certificate.claims.claim import CERTIFICATE_FILE, DESIGN_FILE, PLANT_FILE
 from necc_casadi.certificate.claims.fields import Fields, without_twins
 from necc_casadi.errors import OutputError
 from necc_casadi.files import read_text, refuse_unfinished
 from necc_casadi.texts import escaped
 
-__all__ = ["check_design", "model_hash", "read_folder", "unreadable"]
+__all__ = ["check_design", "model_hash", "read_folder", "read_plant", "unreadable"]
 
 
 #: Bytes of a file, nested lists and objects in it, and entries of them.
@@ -58,6 +58,31 @@ def read_folder(folder: Path) -> tuple[str, Fields, Mapping[str, Any]]:
     refuse_unfinished(folder)
     design = _read(folder / DESIGN_FILE)
     return design, Fields(_parsed(_read(folder / CERTIFICATE_FILE))), _parsed(design)
+
+
+def read_plant(folder: Path, design_text: str) -> str | None:
+    """plant.json of a folder, where it has one that is of this design and as bounded as it is.
+
+    Raises
+    ------
+    OutputError
+        When it is no regular file, or too large.
+    KeyError, TypeError, ValueError
+        When it holds something else than a plant of this design.
+    """
+    if not (folder / PLANT_FILE).exists():
+        return None
+    text = _read(folder / PLANT_FILE)
+    data = _parsed(text)
+    rows = [row for key in ("J", "R", "G") for row in data[key]]
+    written = _texts([data["H"], *dict(data["parameters"]).values()])
+    _check_expressions([*written, *(entry for row in rows for entry in _texts(row))])
+    names = [*_texts(data["names"]), *_texts(data["symbols"])]
+    if len(names) > 4 * _MOST_STATES or any(len(name) > _LONGEST_NAME for name in names):
+        raise ValueError("plant.json names more than a plant has")
+    if data["design"] != hashlib.sha256(design_text.encode()).hexdigest():
+        return None  # of another design: nothing is proved from it
+    return text
 
 
 def unreadable(folder: Path, problem: BaseException) -> OutputError:
@@ -160,6 +185,7 @@ def _written(model: Mapping[str, Any]) -> list[str]:
     matrices = [model[key] for key in ("J", "R", "G", *own)]
     gamma = _texts(model["gamma"]) if "gamma" in model else []
     matrices += dict(model["preliminary"]).values() if "preliminary" in model else []
+    matrices += [model["inertia"]] if "inertia" in model else []
     rows = [row for matrix in matrices for row in matrix] + list(dict(model["domain"]).values())
     return _texts([model["H"], *gamma, *(entry for row in rows for entry in _texts(row))])
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-__all__ = ["CERTIFICATE_FILE", "CERTIFICATE_FORMAT", "DESIGN_FILE", "Claim"]
+__all__ = ["CERTIFICATE_FILE", "CERTIFICATE_FORMAT", "DESIGN_FILE", "PLANT_FILE", "Claim"]
 
 
 #: Version of the layout of certificate.json.
@@ -14,7 +14,7 @@ CERTIFICATE_FORMAT = 5
 
 
 #: Names in a folder of necc-design: what is claimed, and what it is claimed about.
-CERTIFICATE_FILE, DESIGN_FILE = "certificate.json", "design.json"
+CERTIFICATE_FILE, DESIGN_FILE, PLANT_FILE = "certificate.json", "design.json", "plant.json"
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,13 @@ __all__ = [
     "DAMPING",
     "DECREASE",
     "GLOBAL",
+    "INTEGRAL_IS_NOT_COVERED",
     "MATCHING",
+    "MEASURED_OF_ANY_MASS",
+    "MEASURED_OF_THIS_MASS",
+    "NOT_MEASURED",
+    "NO_INTEGRAL",
+    "NO_MOMENTA",
     "NO_NEIGHBOURHOOD",
     "NO_REGION",
     "ONLY_STABLE",
@@ -35,7 +41,9 @@ __all__ = [
     "conserved",
     "equilibrium",
     "input_limits",
+    "integral",
     "limited_by",
+    "momenta",
     "no_clipping",
     "no_limits",
     "not_global",
@@ -67,6 +75,38 @@ DECREASE = (
     "V never increases along the continuous-time, unsaturated loop, wherever the model is "
     "defined and for every damping with a symmetric part ≻ 0"
 )
+
+
+#: Of a controller that takes q̇ in place of the momenta.
+MEASURED_OF_ANY_MASS = (
+    "the controller takes (q, q̇), and neither inertia nor potential nor friction stands in it: "
+    "with any others, the inertia ≻ 0 and the friction ⪰ 0 in the momenta, the V made of their "
+    "energy decreases as well"
+)
+
+
+MEASURED_OF_THIS_MASS = (
+    "the controller takes (q, q̇) and p = M q̇ with the inertia of the model: what is claimed of "
+    "(q, p) holds for that inertia"
+)
+
+
+NOT_MEASURED = "q̇ is not proved to be what the controller takes for the momenta"
+
+
+INTEGRAL_IS_NOT_COVERED = (
+    "nothing is proved of the integral action: the plant, its loop or its damping is not of the "
+    "kind that is covered"
+)
+
+
+NO_MOMENTA = (
+    "a controller that is fed the plant's own momenta is not proved to make V decrease for every "
+    "uncertain parameter: feed it the model's inertia times a measured velocity"
+)
+
+
+NO_INTEGRAL = "no box around the target is proved in which the integral action makes W fall"
 
 
 #: Of z̄ where the exact verdict at the target, which is no part of the proof, expects no more.
@@ -164,6 +204,33 @@ def slope(delta: float | None) -> str:
     return f"Φ₁ ≥ {_down(delta, 6)} everywhere, by construction of the neural Φ"
 
 
+def integral(
+    level: float,
+    box: Mapping[str, float],
+    limits: Sequence[float],
+    ranges: Mapping[str, Sequence[str]],
+) -> str:
+    """Of the level of W, the box of (q, ξ) by half widths, the limits of ζ and parameters."""
+    bounds = ", ".join(f"{_down(v, 6)}" for v in limits)
+    sides = ", ".join(f"{name} ± {_down(width, 6)}" for name, width in box.items())
+    known = "".join(f", {name} in [{lo}, {hi}]" for name, (lo, hi) in ranges.items())
+    return (
+        f"with integral action every solution that starts with W ≤ {_down(level, 6)} and {sides} "
+        "about its place at rest stays there, and q → q* without offset, for every constant "
+        f"disturbance{known} whose ζ* is within ±({bounds}); what else is claimed of solutions is "
+        "of the loop with ζ = 0"
+    )
+
+
+def momenta(ranges: Mapping[str, Sequence[str]]) -> str:
+    """Of a controller that is fed the plant's own momenta, and the parameters that vary."""
+    known = ", ".join(f"{name} in [{lo}, {hi}]" for name, (lo, hi) in ranges.items())
+    return (
+        f"with {known} the V made of the plant's own energy decreases, too, where the controller "
+        "is fed the plant's momenta, though the law has the inertia of the model"
+    )
+
+
 def attraction(rate: float | None) -> str:
     """Of a proved rate of decay of the linearisation; None where it has none."""
     if rate is None:
@@ -200,6 +267,9 @@ def unproved(limits: Sequence[Sequence[float]]) -> Mapping[str, frozenset[str]]:
         "input_limits": frozenset([no_limits(limits)]),
         "clipping": frozenset([no_clipping(limits), CLIPPING_IS_NOT_COVERED]),
         "global": frozenset(map(not_global, get_args(Missing))),
+        "measurement": frozenset([NOT_MEASURED]),
+        "momenta": frozenset([NO_MOMENTA]),
+        "integral": frozenset([INTEGRAL_IS_NOT_COVERED, NO_INTEGRAL]),
     }
 
 

@@ -28,11 +28,14 @@ from necc_casadi.certificate.prover.decrease import prove_decrease
 from necc_casadi.certificate.prover.equilibrium import Equilibrium, prove_equilibrium
 from necc_casadi.certificate.prover.global_stability import prove_global_stability
 from necc_casadi.certificate.prover.input_limits import clipping_is_covered, holds_everywhere
+from necc_casadi.certificate.prover.integral import prove_integral
+from necc_casadi.certificate.prover.measurement import prove_measurement
 from necc_casadi.certificate.prover.region.proof import RegionProof
 from necc_casadi.certificate.prover.region.region import prove_region, prove_region_within_limits
 from necc_casadi.certificate.prover.solutions import what_follows
 from necc_casadi.certificate.prover.vanishing_damping import prove_slow_attraction
 from necc_casadi.designs.design import Design
+from necc_casadi.model.lagrangian import Plants
 
 __all__ = ["certify", "units_of"]
 
@@ -44,7 +47,13 @@ Report = Callable[[str, float], None]
 _NOTHING, _BESIDE = 1e-9, 0.1
 
 
-def certify(design: Design, *, region: bool = True, report: Report | None = None) -> Certificate:
+def certify(
+    design: Design,
+    *,
+    region: bool = True,
+    report: Report | None = None,
+    plants: Plants | None = None,
+) -> Certificate:
     """Prove what can be proved about a design.
 
     Parameters
@@ -55,6 +64,8 @@ def certify(design: Design, *, region: bool = True, report: Report | None = None
         Whether to look for a region, input limits and the whole space, which takes longest.
     report
         Called with the stage at hand and the share that is done.
+    plants
+        The plants for which integral action is to leave no offset; by default that of the model.
 
     Returns
     -------
@@ -91,7 +102,7 @@ def certify(design: Design, *, region: bool = True, report: Report | None = None
     if not region:
         return certificate
     told("region", 0.0)
-    certificate = _extended(certificate, design, potential, equilibrium)
+    certificate = _extended(certificate, design, potential, equilibrium, plants)
     told("region", 1.0)
     return certificate
 
@@ -101,7 +112,12 @@ def _local(
 ) -> tuple[tuple[Claim, ...], Stability | None]:
     """What holds near z̄, and the kind of stability that follows."""
     decrease = prove_decrease(design)
-    claims = (_equilibrium_claim(equilibrium), *decrease.claims)
+    measured = prove_measurement(design)
+    claims = (
+        _equilibrium_claim(equilibrium),
+        *decrease.claims,
+        *(() if measured is None else (measured,)),
+    )
     attraction = prove_attraction(potential, equilibrium, decrease.casimir, design.units.time)
     if not (equilibrium.proved and decrease.decrease.holds):
         return (*claims, attraction), None
@@ -117,7 +133,11 @@ def _local(
 
 
 def _extended(
-    certificate: Certificate, design: Design, potential: Potential, equilibrium: Equilibrium
+    certificate: Certificate,
+    design: Design,
+    potential: Potential,
+    equilibrium: Equilibrium,
+    plants: Plants | None,
 ) -> Certificate:
     """The certificate with the whole space, the region and the input limits."""
     stability = certificate.stability
@@ -136,6 +156,8 @@ def _extended(
     if design.loop.plant.u_limits is not None:
         claims += [_limits_claim(design, proof), _clipping_claim(design, proof)]
     claims.append(_global_claim(everywhere))
+    integral = prove_integral(design, plants)
+    claims += [] if integral is None else [integral]
     found = replace(
         certificate,
         claims=(*certificate.claims, *claims),

@@ -157,6 +157,10 @@ FUNCTION(fmi2Status, fmi2GetReal, fmi2Component c, const fmi2ValueReference vr[]
             value[i] = (double)u[r - NECC_NX];
         else if (r < NECC_NX + NECC_NU + NECC_NXI)
             value[i] = (double)self->state.xi[r - NECC_NX - NECC_NU];
+#if NECC_HAS_INTEGRAL
+        else if (r < NECC_NX + 2 * NECC_NU + NECC_NXI)
+            value[i] = (double)self->state.zeta[r - NECC_NX - NECC_NU - NECC_NXI];
+#endif
 #if NECC_HAS_MARGIN
         else if (r == NECC_NX + NECC_NU + NECC_NXI)
             value[i] = (double)necc_margin(self->x, self->state.xi);

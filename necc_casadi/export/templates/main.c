@@ -1,6 +1,6 @@
 /* main.c: the controller of necc.h in closed loop with its plant; prints CSV.
  *
- *   demo [steps [x1 x2 ...]]      steps of @sample_time@ s, from the plant state given
+ *   demo [steps [x1 x2 ...]]      steps of @sample_time@ s, from the measured state given
  */
 #include "necc.h"
 
@@ -13,6 +13,8 @@
 
 /* The plant: xdot = (J - R) grad H + G u. */
 @plant@
+/* What the controller takes, y, of the plant's state x, and back. */
+@measure@
 /* One Runge-Kutta step of the plant with u held. */
 static void plant_step(necc_real x[NECC_NX], const necc_real u[NECC_NU], necc_real dt)
 {
@@ -40,24 +42,29 @@ static void print_row(const necc_real *values, int count)
 
 int main(int argc, char **argv)
 {
-    necc_real x[NECC_NX] = {@x_start@};
+    necc_real y[NECC_NX] = {@x_start@}, x[NECC_NX];
     necc_real u[NECC_NU];
     necc_state state;
     long step, steps = argc > 1 ? strtol(argv[1], NULL, 10) : @steps@;
     int i, flags = NECC_OK;
     for (i = 0; i < NECC_NX && i + 2 < argc; ++i)
-        x[i] = (necc_real)strtod(argv[i + 2], NULL);
-    necc_start(&state, x);
+        y[i] = (necc_real)strtod(argv[i + 2], NULL);
+    model_state(y, x);
+    necc_start(&state, y);
     printf("@columns@\n");
     for (step = 0; step < steps; ++step) {
         const necc_state before = state;
-        flags = necc_step(&state, x, u, SAMPLE_TIME);
+        flags = necc_step(&state, y, u, SAMPLE_TIME);
         printf("%.9g", (double)step * (double)SAMPLE_TIME);
-        print_row(x, NECC_NX);
+        print_row(y, NECC_NX);
         print_row(before.xi, NECC_NXI);
+#if NECC_HAS_INTEGRAL
+        print_row(before.zeta, NECC_NU);
+#endif
         print_row(u, NECC_NU);
         printf(",%d\n", flags);
         plant_step(x, u, SAMPLE_TIME);
+        measure(x, y);
     }
     return flags & NECC_REJECTED ? EXIT_FAILURE : EXIT_SUCCESS;
 }

@@ -16,11 +16,13 @@
 #define NECC_NX @n@ /* plant states */
 #define NECC_NXI @nc@ /* controller states */
 #define NECC_NU @m@ /* inputs */
+#define NECC_HAS_INTEGRAL @has_integral@
 @margin_constants@
 @sample_define@@sampling@
 
 /* Order and units:
 @order@
+@measured@
  */
 
 #ifdef __cplusplus
@@ -30,7 +32,7 @@ extern "C" {
 typedef @real@ necc_real;
 
 typedef struct {
-    necc_real xi[NECC_NXI];
+    necc_real xi[NECC_NXI];@zeta@
 } necc_state;
 
 /* Flags that a function returns, added; 0 when there is nothing to report. */

@@ -1,0 +1,181 @@
+"""Integral action, proved again: E_W above the level on the sides, and S ≻ 0 where it is not.
+
+With e = q − q*, ξ̃ = ξ − ξ̄, remainders Ũ, H₀, K₀ beyond first order, mean slopes a, h, k of ∇U, ∇Hc
+and ∇K between rest and a point, η = GcBᵀe and ω = ∇H₀ − ∇K₀,
+
+    E_W = Ũ + K₀ + H₀ + ½eᵀ(BDBᵀ + R − M/τ)e/τ,
+    −Ẇ ≥ q̇ᵀ[BDBᵀ + R − (M + ½Σeᵢ∂ᵢM)/τ]q̇ + (1/τ){eᵀae + ηᵀh(h+k)⁻¹kη + ηᵀh(h+k)⁻¹ω} + ωᵀGcDcGcᵀω.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+
+import sympy as sp
+from flint import arb, arb_mat
+
+from necc_casadi.certificate.checker.arithmetic.balls import (
+    Box,
+    ball,
+)
+from necc_casadi.certificate.checker.arithmetic.definite import positive, solve
+from necc_casadi.certificate.checker.evidence import Checked, Evidence
+from necc_casadi.certificate.checker.loops import StoredInterconnection
+from necc_casadi.certificate.checker.model import StoredDesign
+from necc_casadi.certificate.checker.plants import StoredPlants, stated_ranges
+from necc_casadi.certificate.checker.remainders import StoredRemainders, casimir_slopes, matrix_at
+from necc_casadi.certificate.claims import statements
+from necc_casadi.symbolic.zero import is_zero
+
+__all__ = ["check_integral"]
+
+
+def check_integral(
+    evidence: Evidence, sound: bool, plant_file: Callable[[], str | None]
+) -> Checked | None:
+    """The claim about integral action; None where nothing is claimed.
+
+    `sound`: the Casimirs, the structure and what is measured are proved. `plant_file` gives
+    plant.json, with the parameters that the claim may be about.
+    """
+    model = evidence.model
+    if not evidence.claimed("integral"):
+        return None
+    level = evidence.number("integral", "level")
+    widths = [float(v) for v in evidence.claims["integral"].data["half_widths"]]
+    limits = model.integral.stated if model.integral is not None else [0.0]
+    kept = [*range(model.n // 2), *range(model.n, len(model.z))]
+    sides = zip(kept, widths, strict=False)
+    told = {model.states[i]: width * model.units.state[i] for i, width in sides}
+    ranges = stated_ranges(evidence, "integral")
+    text = statements.integral(level * model.units.energy, told, limits, ranges)
+    if model.integral is None or not _is_covered(model):
+        return Checked("integral", False, f"{text}; not proved: the plant and loop are covered")
+    if len(widths) != 2 * model.m or not all(v > 0 for v in widths):
+        return Checked("integral", False, f"{text}; not proved: a box of (e, ξ̃)")
+    varied = StoredPlants(model, plant_file(), ranges) if ranges else None
+    if varied is not None and not varied.fits(model):
+        return Checked("integral", False, f"{text}; not proved: plant.json is of this design")
+    fall = _Fall(model, level, varied)
+    box: Box = tuple((-v, v) for v in widths) + fall.theta
+    return Checked.by(
+        "integral",
+        text,
+        [
+            ("Casimirs, structure and measurement", lambda: sound),
+            ("the box keeps the bounds of the model", partial(fall.keeps_bounds, box)),
+            ("a minimum of Hc + K at q*", lambda: fall.xi_bar is not None),
+            ("E_W above the level on the sides", partial(fall.is_closed, box)),
+            ("S ≻ 0 where E_W is not above the level", partial(fall.falls_in, box)),
+        ],
+    )
+
+
+def _is_covered(model: StoredDesign) -> bool:
+    """q̇ measured, B regular and constant, the published loop, linear Casimirs, no coupling."""
+    loop, (k, odd) = model.loop, divmod(model.n, 2)
+    published = isinstance(loop, StoredInterconnection) and model.ahead is None
+    if not published or odd or model.inertia is None or model.m != k or model.nc != k:
+        return False
+    if model.form["phi"] is not None or model.form["betas"] or len(model.casimirs) != k:
+        return False
+    q, p = model.z[:k], model.z[k : model.n]
+    rates = model.J[:k, k : model.n]
+    zero = [*model.J[:k, :k], *model.J[k : model.n, k : model.n], *model.R[:k, :],
+            *model.R[:, :k], *model.G[:k, :], *(model.J + model.J.T)]  # fmt: skip
+    own = slice(model.n, None)
+    zero += [*model.Jcl[own, own], *model.Rcl[own, own]]
+    zero += [sp.diff(c, s) for c in model.casimirs for s in p]
+    constant = [*rates, *model.R[k:, k:], *model.G[k:, :], *model.ports[model.n :, k:]]
+    constant += [sp.diff(c, s) for c in model.casimirs for s in (*q, *model.z[model.n :])]
+    Gc, slopes = model.ports[model.n :, k:], casimir_slopes(model)[:, k:]
+    regular = [model.G[k:, :].det(), Gc.det(), slopes.det(), rates.det()]
+    moves, m = set(model.z), model.m
+    coupled = [model.damping[i][j] for i in range(m) for j in range(m, 2 * m)]
+    coupled += [model.damping[j][i] for i in range(m) for j in range(m, 2 * m)]
+    blocks = [[row[s] for row in model.damping[s]] for s in (slice(m), slice(m, 2 * m))]
+    symmetric = all(b[i][j] == b[j][i] for b in blocks for i in range(m) for j in range(m))
+    return (
+        all(is_zero(v) is True for v in zero)
+        and not any(moves & sp.sympify(v).free_symbols for v in constant)
+        and all(is_zero(v) is False for v in regular)
+        and symmetric
+        and not any(coupled)
+    )
+
+
+class _Fall(StoredRemainders):
+    """E_W and S over boxes."""
+
+    def __init__(self, model: StoredDesign, level: float, plants: StoredPlants | None) -> None:
+        if model.integral is None:
+            raise ValueError("no integral action")
+        super().__init__(model, level, plants)
+        self.tau, k = arb(model.integral.tau), self.k
+        D, Dc = (
+            arb_mat([[arb(v) for v in row[s]] for row in model.damping[s]])
+            for s in (slice(k), slice(k, 2 * k))
+        )
+        self.damping = self.B * D * self.B.transpose()
+        self.inner = self.Gc * Dc * self.Gc.transpose()
+
+    def added(
+        self, there: dict[sp.Symbol, arb], known: dict[sp.Symbol, arb], e: list[arb]
+    ) -> tuple[arb, list[arb]]:
+        """½eᵀ(BDBᵀ + R − M/τ)e/τ and its slopes."""
+        tau = self.tau
+        stiff = self._damped(known) - self.inertia(there) * (1 / tau)
+        column = arb_mat([[v] for v in e])
+        forces = (stiff * column).tolist()
+        value = sum((v * f[0] for v, f in zip(e, forces, strict=True)), arb(0)) / (2 * tau)
+        turned = [(arb_mat([e]) * matrix_at(M, there) * column)[0, 0] for M in self.bent]
+        slopes = [f[0] / tau - v / (2 * tau * tau) for f, v in zip(forces, turned, strict=True)]
+        return value, slopes
+
+    def _damped(self, known: dict[sp.Symbol, arb]) -> arb_mat:
+        """BDBᵀ + R."""
+        return self.damping + matrix_at(self.R, known)
+
+    def is_positive(self, box: Box, stretches: int) -> bool:
+        """M ≻ 0 and S ≻ 0 over a box, in (q̇, e, ω)."""
+        k, tau = self.k, self.tau
+        e = [ball(*side) for side in box[:k]]
+        known = self.known(box)
+        here = {s: v + d for s, v, d in zip(self.q, self.q_star, e, strict=True)} | known
+        a, h, bends = self.mean_slopes(box, stretches)
+        found = _in_series(h, bends)
+        if found is None:
+            return False
+        series, share = found
+        M = self.inertia(here)
+        if not positive(M, 0.0):
+            return False
+        for i, d in enumerate(e):
+            M = M + matrix_at(self.bent[i], here) * (d / 2)
+        BGc = self.B * self.Gc.transpose()
+        vv = self._damped(known) - M * (1 / tau)
+        ee = (a + BGc * series * BGc.transpose()) * (1 / tau)
+        ew = BGc * share * (1 / (2 * tau))
+        S = arb_mat(3 * k, 3 * k)
+        for i in range(k):
+            for j in range(k):
+                S[i, j], S[k + i, k + j] = vv[i, j], ee[i, j]
+                S[2 * k + i, 2 * k + j] = self.inner[i, j]
+                S[k + i, 2 * k + j] = S[2 * k + j, k + i] = ew[i, j]
+        return positive(S, 0.0)
+
+
+def _in_series(h: arb_mat, k: arb_mat) -> tuple[arb_mat, arb_mat] | None:
+    """h(h + k)⁻¹k and h(h + k)⁻¹."""
+    size = h.nrows()
+    if size == 1:
+        if not (h[0, 0] > 0 and k[0, 0] > 0):
+            return None
+        share = 1 / (1 + k[0, 0] / h[0, 0])
+        return arb_mat([[1 / (1 / h[0, 0] + 1 / k[0, 0])]]), arb_mat([[share]])
+    columns = [solve(h + k, [h[i, j] for i in range(size)]) for j in range(size)]
+    if any(column is None for column in columns):
+        return None
+    other = arb_mat([[(columns[j] or [])[i] for j in range(size)] for i in range(size)])
+    return k * other, other.transpose()

@@ -1,0 +1,264 @@
+"""What is left of U, Hc and K beyond first order at rest, in Arb balls, over boxes and at ways."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+
+import numpy as np
+import sympy as sp
+from flint import arb, arb_mat
+
+from necc_casadi.certificate.checker.arithmetic.balls import (
+    Box,
+    ball,
+    by_bisection,
+    ends,
+    evaluate,
+    times,
+)
+from necc_casadi.certificate.checker.arithmetic.definite import norm, positive
+from necc_casadi.certificate.checker.arithmetic.networks import Net
+from necc_casadi.certificate.checker.model import StoredDesign
+from necc_casadi.certificate.checker.plants import StoredPlants
+
+__all__ = ["StoredRemainders", "casimir_slopes", "constants", "matrix_at"]
+
+
+#: How often a cell may be halved.
+_DEPTH = 24
+
+
+#: Stretches of the way from rest to a point, along each of which slopes are enclosed.
+_STRETCHES = (4, 16)
+
+
+#: A number is its double within this share.
+_ROUNDED = 2.0**-50
+
+
+#: Radii of the ball in which ξ̄ is sought.
+_RADII = tuple(2.0**-k for k in range(18))
+
+
+def casimir_slopes(model: StoredDesign) -> sp.Matrix:
+    """∂c/∂(q, ξ), m × 2m."""
+    symbols = (*model.z[: model.n // 2], *model.z[model.n :])
+    return sp.Matrix([[sp.diff(c, s) for s in symbols] for c in model.casimirs])
+
+
+def constants(matrix: sp.Matrix) -> arb_mat:
+    """A matrix of constants."""
+    return arb_mat([[evaluate(sp.sympify(v), {}) for v in row] for row in matrix.tolist()])
+
+
+class StoredRemainders(ABC):
+    """Ũ + K₀ + H₀ over boxes of (e, ξ̃, θ), in natural units but for θ."""
+
+    def __init__(self, model: StoredDesign, level: float, plants: StoredPlants | None) -> None:
+        if model.inertia is None:
+            raise ValueError("the states are measured")
+        self.model, self.level = model, arb(level)
+        k = self.k = model.m
+        self.q, self.xi = model.z[:k], model.z[model.n :]
+        A = model.J[:k, k : model.n]
+        rates = A.T.inv()  # y = Gᵀ∂H/∂p = BᵀA⁻¹q̇
+        H, friction, inertia = model.H, model.R, model.inertia
+        if plants is not None:
+            H, friction, inertia = plants.H, plants.R, plants.inertia
+        B, R = rates * model.G[k:, :], rates * friction[k:, k:] * A.inv()
+        self.M = rates * inertia
+        self.U = H.subs(dict.fromkeys(model.z[k : model.n], 0))
+        self.R = R
+        self.symbols = () if plants is None else tuple(plants.ranges)
+        sides = () if plants is None else plants.ranges.values()
+        self.theta: Box = tuple(
+            (ends(evaluate(lo, {}))[0], ends(evaluate(hi, {}))[1]) for lo, hi in sides
+        )
+        self.B, self.Gc = constants(B), constants(model.ports[model.n :, k:])
+        self.slopes = constants(casimir_slopes(model))
+        start = [sp.Integer(0)] * (2 * k)
+        symbols = (*self.q, *self.xi)
+        self.offset = [
+            evaluate(c.subs(dict(zip(symbols, start, strict=True))), {}) for c in model.casimirs
+        ]
+        self.hc, used = Net.from_weights(model.form["hc"], model.weights)
+        self.kc, _ = Net.from_weights(model.form["k"], model.weights[used:])
+        #: The target as a double, whichever way it was rounded.
+        self.q_star = [
+            v + ball(-_ROUNDED, _ROUNDED) * v.abs_upper()
+            for v in (evaluate(t, {}) for t in model.target[:k])
+        ]
+        grad = [sp.diff(self.U, s) for s in self.q]
+        self.grad_U, self.hess_U = grad, [[sp.diff(g, s) for s in self.q] for g in grad]
+        self.bent = [self.M.diff(s) for s in self.q]
+        self.xi_bar = self._minimum()
+        if self.xi_bar is not None:
+            self.rest = self._rest()
+
+    # --- where it rests -----------------------------------------------------------------------
+
+    def _minimum(self) -> list[arb] | None:
+        """ξ̄, the minimum of Hc(ξ) + K(c(q*, ξ)) in ξ."""
+        xi = [arb(v) for v in self.model.xi_star]
+        g = norm(self._slope_xi(xi)).upper()
+        for radius in _RADII:
+            box = [v + ball(-radius, radius) for v in xi]
+            hess = self._hess_xi(box)
+            middle = arb_mat([[arb(v.mid()) for v in row] for row in self._hess_xi(xi).tolist()])
+            least = _least(middle) / 2
+            if least > 0 and positive(hess, least) and g < arb(least) * radius:
+                away = (g / arb(least)).upper()
+                return [v + (-away).union(away) for v in xi]
+        return None
+
+    def _c(self, q: list[arb], xi: list[arb]) -> list[arb]:
+        found = self.slopes * arb_mat([[v] for v in (*q, *xi)])
+        return [found[i, 0] + self.offset[i] for i in range(self.k)]
+
+    def _slope_xi(self, xi: list[arb]) -> list[arb]:
+        dk = self.kc(_box(self._c(self.q_star, xi)))[1]
+        dh = self.hc(_box(xi))[1]
+        N = self.slopes
+        return [
+            dh[i] + sum((N[j, self.k + i] * dk[j] for j in range(self.k)), arb(0))
+            for i in range(self.k)
+        ]
+
+    def _hess_xi(self, xi: list[arb]) -> arb_mat:
+        return self._full(self.hc, xi) + self._springs_k(self._c(self.q_star, xi))
+
+    def _full(self, net: Net, at: list[arb]) -> arb_mat:
+        hess, k = net(_box(at))[2], self.k
+        return arb_mat([[hess[min(i, j), max(i, j)] for j in range(k)] for i in range(k)])
+
+    def _springs_k(self, c: list[arb]) -> arb_mat:
+        """N_ξ ∇²K N_ξᵀ."""
+        k = self.k
+        N = arb_mat([[self.slopes[i, k + j] for j in range(k)] for i in range(k)])
+        return N.transpose() * self._full(self.kc, c) * N
+
+    def _rest(self) -> tuple[arb, list[arb]]:
+        """Hc + K and its slopes in q at rest; those in ξ are 0 there."""
+        xi = self.xi_bar or []
+        c = self._c(self.q_star, xi)
+        k_value, dk, _ = self.kc(_box(c))
+        along = [
+            sum((self.slopes[j, i] * dk[j] for j in range(self.k)), arb(0)) for i in range(self.k)
+        ]
+        return self.hc(_box(xi))[0] + k_value, along
+
+    def known(self, box: Box) -> dict[sp.Symbol, arb]:
+        """θ over a box of (e, ξ̃, θ)."""
+        return {s: ball(*side) for s, side in zip(self.symbols, box[2 * self.k :], strict=True)}
+
+    # --- the box ------------------------------------------------------------------------------
+
+    def keeps_bounds(self, box: Box) -> bool:
+        """Whether every bound that the model names is outside."""
+        model, k = self.model, self.k
+        at = [*self.q_star, *(arb(v) for v in model.xi_star)]
+        places = [*range(k), *range(model.n, len(model.z))]
+        for (lo, hi), middle, place in zip(box[: 2 * k], at, places, strict=True):
+            low, high = model.named_bounds[place]
+            if not (middle + arb(lo) > low and middle + arb(hi) < high):
+                return False
+        return True
+
+    def is_closed(self, box: Box) -> bool:
+        """E > c on every side."""
+        faces = (
+            (*box[:i], (end, end), *box[i + 1 :])
+            for i, side in enumerate(box[: 2 * self.k])
+            for end in side
+        )
+        return all(by_bisection(face, self._is_high, _DEPTH) for face in faces)
+
+    def falls_in(self, box: Box) -> bool:
+        """E > c, or what has to hold below it, on cells that cover the box."""
+
+        def settled(cell: Box) -> bool:
+            return self._is_high(cell) or any(self.is_positive(cell, n) for n in _STRETCHES)
+
+        return by_bisection(box, settled, _DEPTH)
+
+    def _is_high(self, box: Box) -> bool:
+        return bool(self._energy(box) > self.level)
+
+    def _energy(self, box: Box) -> arb:
+        """E over a box: value at the middle and slopes over the box; θ is not centred."""
+        at = tuple((m, m) for m in (lo / 2 + hi / 2 for lo, hi in box[: 2 * self.k]))
+        middle: Box = at + box[2 * self.k :]
+        value = self._value_and_slopes(middle)[0]
+        if middle == box:
+            return value
+        slopes = self._value_and_slopes(box)[1]
+        for (lo, hi), (m, _), slope in zip(box[: 2 * self.k], at, slopes, strict=True):
+            value = value + slope * (ball(lo, hi) - arb(m))
+        return value
+
+    def _value_and_slopes(self, box: Box) -> tuple[arb, list[arb]]:
+        k, (level, along) = self.k, self.rest
+        known, rest_q = self.known(box), dict(zip(self.q, self.q_star, strict=True))
+        U0 = evaluate(self.U, rest_q | known)
+        grad0 = [evaluate(g, rest_q | known) for g in self.grad_U]
+        xi_bar = self.xi_bar or []
+        e = [ball(*side) for side in box[:k]]
+        q = [v + s for v, s in zip(self.q_star, e, strict=True)]
+        xi = [v + ball(*side) for v, side in zip(xi_bar, box[k : 2 * k], strict=True)]
+        k_value, dk, _ = self.kc(_box(self._c(q, xi)))
+        h_value, dh, _ = self.hc(_box(xi))
+        there = dict(zip(self.q, q, strict=True)) | known
+        more, steeper = self.added(there, known, e)
+        value = more + evaluate(self.U, there) - U0 + k_value + h_value - level
+        slopes = []
+        for i in range(k):
+            value = value - (grad0[i] + along[i]) * e[i]
+            own = evaluate(self.grad_U[i], there) - grad0[i] - along[i] + steeper[i]
+            slopes.append(own + sum((self.slopes[j, i] * dk[j] for j in range(k)), arb(0)))
+        for i in range(k):
+            pull = sum((self.slopes[j, k + i] * dk[j] for j in range(k)), arb(0))
+            slopes.append(dh[i] + pull)
+        return value, slopes
+
+    def added(
+        self, there: dict[sp.Symbol, arb], known: dict[sp.Symbol, arb], e: list[arb]
+    ) -> tuple[arb, list[arb]]:
+        """What else E has, as a function of q and θ, and its slopes in q."""
+        return arb(0), [arb(0)] * self.k
+
+    @abstractmethod
+    def is_positive(self, box: Box, stretches: int) -> bool:
+        """Whether what has to hold below the level does, slopes in so many stretches."""
+
+    def inertia(self, there: dict[sp.Symbol, arb]) -> arb_mat:
+        """M at q and θ."""
+        return matrix_at(self.M, there)
+
+    def mean_slopes(self, box: Box, stretches: int) -> tuple[arb_mat, arb_mat, arb_mat]:
+        """∇²U, ∇²Hc and N_ξ∇²K N_ξᵀ, averaged along straight ways from rest into the box."""
+        k, xi_bar = self.k, self.xi_bar or []
+        total = [arb_mat(k, k) for _ in range(3)]
+        for part in range(stretches):
+            share = arb(part) / stretches
+            share = share.union(arb(part + 1) / stretches)
+            steps = [times(share, ball(*side)) for side in box[: 2 * k]]
+            q = [v + d for v, d in zip(self.q_star, steps[:k], strict=True)]
+            xi = [v + d for v, d in zip(xi_bar, steps[k:], strict=True)]
+            there = dict(zip(self.q, q, strict=True)) | self.known(box)
+            a = arb_mat([[evaluate(v, there) for v in row] for row in self.hess_U])
+            found = a, self._full(self.hc, xi), self._springs_k(self._c(q, xi))
+            total = [old + new / stretches for old, new in zip(total, found, strict=True)]
+        return total[0], total[1], total[2]
+
+
+def matrix_at(matrix: sp.Matrix, values: dict[sp.Symbol, arb]) -> arb_mat:
+    """A matrix of expressions at balls."""
+    return arb_mat([[evaluate(sp.sympify(v), values) for v in row] for row in matrix.tolist()])
+
+
+def _box(values: list[arb]) -> Box:
+    return tuple(ends(v) for v in values)
+
+
+def _least(A: arb_mat) -> float:
+    return float(np.linalg.eigvalsh([[float(v.mid()) for v in row] for row in A.tolist()])[0])

@@ -1,0 +1,207 @@
+"""Boxes of (e, ξ̃) around rest that solutions do not leave, below a level, searched and proved.
+
+On the sides of the box an energy E(e, ξ̃; θ) is above the level c; on each cell it is, or something
+else holds that makes it fall. θ are parameters within ranges, more axes of the cells.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+
+from necc_casadi.arrays import Truth, Vector
+from necc_casadi.certificate.prover.arithmetic.boxes import subdivide
+from necc_casadi.certificate.prover.arithmetic.intervals import Interval, concatenate, point, stack
+from necc_casadi.designs.design import Design
+
+__all__ = ["BoxProof", "Terms", "beside", "searched"]
+
+
+#: Half widths of the box that are tried, in natural units, widest first, and those of ξ̃ over e.
+_WIDTHS, _ASPECTS = 2.0 ** np.arange(2.0, -5.5, -0.5), (1.0, 0.5)
+
+
+#: Points of the sides and of the inside at which a box is tried; boxes that are then proved.
+_SIDE, _INSIDE, _TRIED = 60, 200, 5
+
+
+#: Of the least E_W that is seen at points of the sides; there may be less between them.
+_SHARES = (0.97, 0.9, 0.8, 0.65, 0.5, 0.3, 0.15)
+
+
+#: First cells of the box together, cells at most, rounds of halving.
+_CELLS, _MOST_CELLS, _ROUNDS = 256, 60_000, 20
+
+
+#: Of the level that is proved: what is claimed, so that other arithmetic can confirm it.
+_CLAIMED = 0.98
+
+
+#: Cells at once.
+_BATCH = 1024
+
+
+#: Of E_W on boxes, and the boxes.
+_Test = Callable[[Interval, Interval], Truth]
+
+
+#: Parameters of which all ends are tried together.
+_CORNERS = 4
+
+
+class Terms(ABC):
+    """An energy over boxes (B, 2m + parameters) of (e, ξ̃, θ), natural units but for θ."""
+
+    design: Design  # in natural units
+    m: int
+    q_star: Vector  # (m,)
+    theta: Interval  # ranges, (parameters,)
+
+    @abstractmethod
+    def energy(self, Z: Interval) -> Interval:
+        """E over boxes, (B,)."""
+
+    @abstractmethod
+    def falls(self, Z: Interval) -> Truth:
+        """Whether what has to hold below the level does, (B,)."""
+
+
+@dataclass(frozen=True, eq=False)
+class BoxProof:
+    """A box of (e, ξ̃) and a level, in natural units."""
+
+    half_widths: Vector  # (2m,)
+    level: float
+
+
+def searched(terms: Terms) -> BoxProof | None:
+    """The first box that is proved, below the level of points and then lower."""
+    boxes = _promising(terms)[:_TRIED]
+    for share, (_, half, level) in product(_SHARES, boxes):
+        if _is_proved(terms, half, share * level):
+            return BoxProof(half, _CLAIMED * share * level)
+    return None
+
+
+def _promising(terms: Terms) -> list[tuple[float, Vector, float]]:
+    """Boxes in which S ≻ 0 is seen where E_W is below its least on the sides, best first."""
+    d, rng = 2 * terms.m, np.random.default_rng(0)
+    inside = np.vstack([np.zeros(d), rng.uniform(-1, 1, (_INSIDE, d))])
+    sides = rng.uniform(-1, 1, (_SIDE * d, d))
+    rows = np.arange(len(sides))
+    sides[rows, rows % d] = np.where(rows // d % 2, 1.0, -1.0)
+    corners = np.array(list(product((-1.0, 0.0, 1.0), repeat=d)))
+    sides = np.concatenate([sides, corners[np.abs(corners).max(axis=1) == 1]])
+    inside, sides = (_with_parameters(terms, points) for points in (inside, sides))
+    found = []
+    for width, aspect in product(_WIDTHS, _ASPECTS):
+        half = np.concatenate([np.full(terms.m, width), np.full(terms.m, width * aspect)])
+        scale = np.concatenate([half, np.ones(len(terms.theta.lo))])
+        if not _is_within(terms, half):
+            continue
+        least = float(terms.energy(point(sides * scale)).lo.min())
+        if not (np.isfinite(least) and least > 0):
+            continue
+        level, Z = least, inside * scale
+        below = terms.energy(point(Z)).lo <= level
+        if np.all(terms.falls(point(Z[below]))):
+            found.append((level * float(below.mean() * half.prod()), half, level))
+    return sorted(found, key=lambda entry: -entry[0])
+
+
+def _with_parameters(terms: Terms, points: Vector) -> Vector:
+    """Each point with θ in the middle of its ranges, at a corner or anywhere in them."""
+    lo, hi = terms.theta.lo, terms.theta.hi
+    if not lo.size:
+        return points
+    shares = [*product((0.0, 1.0), repeat=min(len(lo), _CORNERS)), *[()] * 2]
+    rng, found = np.random.default_rng(2), []
+    for share in shares:
+        place = rng.uniform(size=(len(points), len(lo)))
+        place[:, : len(share)] = share
+        found.append(np.hstack([points, lo + (hi - lo) * place]))
+    return np.concatenate(found)
+
+
+def _is_within(terms: Terms, half: Vector) -> bool:
+    """Whether the box keeps the bounds that the model names."""
+    loop, k = terms.design.loop, terms.m
+    middle = np.concatenate([terms.q_star, terms.design.xi_star])
+    names = (*loop.plant.states[:k], *loop.controller.states)
+    for name, at, reach in zip(names, middle, half, strict=True):
+        if name in loop.plant.domain:
+            lo, hi = (float(v) for v in loop.plant.domain[name])
+            if not (lo < at - reach and at + reach < hi):
+                return False
+    return True
+
+
+def _is_proved(terms: Terms, half: Vector, level: float) -> bool:
+    d, box = len(half), Interval(-half, half)
+    size = np.concatenate([half, np.maximum(terms.theta.rad, np.finfo(float).tiny)])
+    parts = max(2, round(_CELLS ** (1 / d)))
+    for axis, side in product(range(d), (-1.0, 1.0)):
+        lo, hi = -half.copy(), half.copy()
+        lo[axis] = hi[axis] = side * half[axis]
+        kept = [i for i in range(d) if i != axis]
+        cut = subdivide(Interval(lo[kept], hi[kept]), parts)
+        face = [cut[:, kept.index(i)] if i != axis else point(np.full(cut.shape[0], lo[axis]))
+                for i in range(d)]  # fmt: skip
+        if not _holds_on(terms, _over_all(terms, stack(face)), size, lambda E, _: E.lo > level):
+            return False
+    cells = _over_all(terms, subdivide(box, parts))
+    return _holds_on(terms, cells, size, lambda E, Z: _settled(terms, E, Z, level))
+
+
+def _over_all(terms: Terms, Z: Interval) -> Interval:
+    """Boxes of (e, ξ̃) with all θ."""
+    shape = (Z.shape[0], len(terms.theta.lo))
+    theta = Interval(np.broadcast_to(terms.theta.lo, shape), np.broadcast_to(terms.theta.hi, shape))
+    return beside(Z, theta)
+
+
+def _settled(terms: Terms, E: Interval, Z: Interval, level: float) -> Truth:
+    """E_W > c or S ≻ 0."""
+    high: Truth = np.asarray(E.lo > level)
+    result = high.copy()
+    if not high.all():
+        result[~high] = terms.falls(Z[~high])
+    return result
+
+
+def _holds_on(terms: Terms, Z: Interval, half: Vector, test: _Test) -> bool:
+    """Whether a test holds on every cell; cells are halved where it does not, but at the middle."""
+    for _ in range(_ROUNDS):
+        if Z.shape[0] > _MOST_CELLS:
+            return False
+        left = Z[~_tested(terms, Z, test)]
+        if left.shape[0] == 0:
+            return True
+        if not _tested(terms, point(left.mid), test).all():
+            return False
+        Z = _halved(left, half)
+    return False
+
+
+def _tested(terms: Terms, Z: Interval, test: _Test) -> Truth:
+    parts = np.array_split(np.arange(Z.shape[0]), -(-Z.shape[0] // _BATCH))
+    return np.concatenate([test(terms.energy(Z[rows]), Z[rows]) for rows in parts])
+
+
+def _halved(Z: Interval, half: Vector) -> Interval:
+    axis = ((Z.hi - Z.lo) / half).argmax(axis=1)
+    rows, middle = np.arange(Z.shape[0]), Z.mid
+    upper, lower = Z.lo.copy(), Z.hi.copy()
+    cut = middle[rows, axis]
+    lower[rows, axis], upper[rows, axis] = cut, cut
+    return concatenate(Interval(Z.lo, lower), Interval(upper, Z.hi))
+
+
+def beside(a: Interval, b: Interval) -> Interval:
+    """Columns of both."""
+    lo, hi = (np.concatenate(sides, axis=1) for sides in ((a.lo, b.lo), (a.hi, b.hi)))
+    return Interval(lo, hi)

@@ -1,0 +1,277 @@
+"""Integral action for a finished design: τ, Kᵢ, the limits of ζ, and the damping that they take.
+
+S ≻ 0 of docs/theory.md#integral-action bounds D and Dc from below; the two ports are damped apart.
+τ and Kᵢ are those of the best decay rate of the linearised loop. V is as it was; the certificate
+proves of the loop with ζ what is suggested here.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import product
+
+import numpy as np
+import sympy as sp
+
+from necc_casadi.arrays import Vector
+from necc_casadi.designs.design import Design
+from necc_casadi.designs.integral import Integral
+from necc_casadi.designs.natural import damping_units
+from necc_casadi.errors import OptionError
+from necc_casadi.lyapunov.damping import uncoupled
+from necc_casadi.lyapunov.sympy2casadi import casadi_function
+from necc_casadi.model.closed_loop import ClosedLoop
+from necc_casadi.model.lagrangian import Lagrangian, Plants, integral_obstacle, lagrangian
+from necc_casadi.model.samples import quasi_random
+from necc_casadi.symbolic.derivatives import sparse_hessian
+
+__all__ = ["refuse_integral", "with_integral"]
+
+
+#: τ over the natural time, and Kᵢ over springs per τ, that are tried.
+_TIMES, _GAINS = 2.0 ** np.arange(-2, 4.5, 0.5), 2.0 ** np.arange(-4, 4.5, 0.5)
+
+
+#: Over the least damping of the plant's port and of the controller's: what is away from rest.
+_ROOM, _INNER_ROOM = 1.3, 2.0
+
+
+#: Uncertain parameters of which all ends are looked at.
+_MOST_ENDS = 6
+
+
+#: Positions within one size of the target at which inertia and stiffness are looked at.
+_SAMPLES = 32
+
+
+#: Of the inputs that are left beside the one that holds the target: for constant disturbances.
+_FOR_DISTURBANCE = 0.5
+
+
+def refuse_integral(loop: ClosedLoop, casimirs: tuple[sp.Expr, ...], phi_is_sum: bool) -> None:
+    """Refuse what integral action on the position does not cover.
+
+    Raises
+    ------
+    OptionError
+        With the reason.
+    """
+    reason = integral_obstacle(loop, casimirs, phi_is_sum)
+    if reason is not None:
+        raise OptionError(
+            "usage",
+            f"--integral: {reason}",
+            "It takes a fully actuated mechanical plant with measured velocities, the published "
+            "loop and Φ = H + Hc + C.",
+        )
+
+
+def with_integral(design: Design, tau: float | None = None, plants: Plants | None = None) -> Design:
+    """The design with integral action; τ as given, in s, else chosen.
+
+    With `plants` the damping is enough for every inertia at the ends of their ranges.
+
+    Raises
+    ------
+    OptionError
+        Where the plant is not covered, or its springs at the target are too weak for any τ.
+    """
+    refuse_integral(design.loop, design.casimirs.functions, design.form.phi is None)
+    if design.form.betas:
+        raise OptionError(
+            "usage", "--integral: C = K(Σ βᵢ(cᵢ)) is not covered", "Use --casimir-form joint."
+        )
+    loop = _Linear.of(design, plants)
+    times = _TIMES if tau is None else np.array([tau / design.units.time])
+    tried = [found for time in times if (found := loop.at(float(time))) is not None]
+    if not tried:
+        raise OptionError(
+            "usage",
+            "--integral: at the target no damping makes W fall: V is not stiff enough there",
+            "Use --global, or give larger --damping and --controller-damping.",
+        )
+    best = max(tried, key=lambda found: found.rate)
+    damping = uncoupled(best.D, best.Dc) * damping_units(design.loop, design.units)
+    units = design.units
+    output = units.energy / units.input
+    return replace(
+        design,
+        damping=damping,
+        integral=Integral(
+            tau=best.tau * units.time,
+            gain=best.gain * units.input / (output * units.time),
+            limit=_limits(design),
+        ),
+    )
+
+
+def _limits(design: Design) -> Vector:
+    """Half of the least room that the inputs have at the target, else what a large input is."""
+    limits = design.loop.plant.u_limits
+    if limits is None:
+        return _rounded(design.sizes.input)
+    n = design.loop.plant.n
+    held = design.lyapunov.control_law(design.z_star[:n], design.xi_star)[0]
+    low, high = np.array(limits, float).T
+    room = np.minimum(held - low, high - held)
+    if np.any(room <= 0):
+        raise OptionError(
+            "usage",
+            f"--integral: the input that holds the target, {held.tolist()}, is beyond u_limits",
+            "Choose a target that the inputs can hold.",
+        )
+    return _rounded(_FOR_DISTURBANCE * room)
+
+
+@dataclass(frozen=True, eq=False)
+class _Found:
+    """One τ with its damping and gain, natural units."""
+
+    tau: float
+    D: Vector
+    Dc: Vector
+    gain: Vector  # (m,)
+    rate: float  # the slowest mode decays so fast
+
+
+@dataclass(frozen=True, eq=False)
+class _Linear:
+    """The loop at the target in natural units; springs h of Hc and k of K, both in GcBᵀe."""
+
+    M: Vector
+    worst: Vector  # (samples, k, k) M + ½Σ eᵢ∂ᵢM
+    stiffness: Vector
+    R: Vector
+    B: Vector
+    Gc: Vector
+    h: Vector
+    k: Vector
+    D: Vector  # of the design
+    Dc: Vector
+
+    @classmethod
+    def of(cls, design: Design, plants: Plants | None) -> _Linear:
+        """From the Hessian of V and the plant."""
+        natural, plant = design.natural, lagrangian(design.loop, design.units)
+        if plant is None:
+            raise ValueError("the states are measured")
+        count, n = len(plant.q), natural.loop.plant.n
+        star = natural.z_star[:count]
+        P = natural.lyapunov.hessian(natural.z_star)
+        Gc = _constant(natural.loop.controller.Gc)
+        slopes = sp.Matrix(
+            [[sp.diff(c, s) for s in natural.loop.z] for c in natural.casimirs.functions]
+        )
+        N_x, N_xi = _constant(slopes[:, :count]), _constant(slopes[:, n:])
+        stiffness = _at(plant, sparse_hessian(plant.U, plant.q), star[None])[0]
+        bends = np.linalg.solve(N_x.T, P[:count, :count] - stiffness)  # N_xᵀ ∇²K N_x
+        bends = np.linalg.solve(N_x.T, bends.T)
+        k = N_xi.T @ ((bends + bends.T) / 2) @ N_xi
+        m = natural.loop.plant.m
+        return cls(
+            M=_at(plant, plant.M, star[None])[0],
+            worst=np.concatenate(
+                [
+                    _bent(at, star, natural.sizes.state[:count])
+                    for at in [plant, *_at_the_ends(design, plants)]
+                ]
+            ),
+            stiffness=stiffness,
+            R=_constant(plant.R),
+            B=_constant(plant.B),
+            Gc=Gc,
+            h=P[n:, n:] - k,
+            k=k,
+            D=natural.damping[:m, :m],
+            Dc=natural.damping[m:, m:],
+        )
+
+    def at(self, tau: float) -> _Found | None:
+        """The least damping for τ that is not below the design's, and the best gain."""
+        BGc = self.B @ self.Gc.T
+        both = np.linalg.inv(self.h + self.k)
+        share = self.h @ both
+        series = (share @ self.k + (share @ self.k).T) / 2
+        S = self.stiffness + BGc @ series @ BGc.T
+        if np.linalg.eigvalsh(S)[0] <= 0:
+            return None
+        inverse = np.linalg.inv(self.B)
+        needed = inverse @ (self.worst / tau - self.R) @ inverse.T
+        D = _above(self.D, _ROOM * needed)
+        across = BGc @ share
+        inner = across.T @ np.linalg.solve(S, across) / (4 * tau)
+        own = np.linalg.inv(self.Gc)
+        Dc = _above(self.Dc, _INNER_ROOM * (own @ inner @ own.T)[None])
+        spring = np.diag(inverse @ S @ inverse.T) / tau
+        rates = [self._rate(tau, D, Dc, c * spring) for c in _GAINS]
+        best = int(np.argmax(rates))
+        return _Found(
+            float(_rounded(np.array([tau]))[0]), D, Dc, _rounded(_GAINS[best] * spring), rates[best]
+        )
+
+    def _rate(self, tau: float, D: Vector, Dc: Vector, gain: Vector) -> float:
+        """−(largest real part) of the linearised loop in (e, q̇, ξ̃, ζ)."""
+        m, inertia = len(self.M), np.linalg.inv(self.M)
+        zero, eye = np.zeros((m, m)), np.eye(m)
+        w_e, w_xi = -self.Gc.T @ self.k @ self.Gc @ self.B.T, self.Gc.T @ (self.h + self.k)
+        damped = self.B @ D @ self.B.T + self.R
+        rows = [
+            [zero, eye, zero, zero],
+            [-inertia @ self.stiffness, -inertia @ damped,
+             -inertia @ self.B @ self.Gc.T @ self.h, -inertia @ self.B],
+            [-self.Gc @ Dc @ w_e, self.Gc @ self.B.T, -self.Gc @ Dc @ w_xi, zero],
+            [gain[:, None] * self.B.T, tau * gain[:, None] * self.B.T, zero, zero],
+        ]  # fmt: skip
+        return -float(np.linalg.eigvals(np.block(rows)).real.max())
+
+
+def _above(own: Vector, needed: Vector) -> Vector:
+    """A diagonal matrix that is ⪰ matrices (S, m, m), by its rows, and no less than its own."""
+    rows = np.abs(needed).sum(axis=-1).max(axis=0)
+    return np.diag(_rounded(np.maximum(np.diag(own), rows)))
+
+
+def _rounded(values: Vector) -> Vector:
+    return np.array([float(f"{v:.3g}") for v in values])
+
+
+def _bent(plant: Lagrangian, star: Vector, size: Vector) -> Vector:
+    """M + ½Σ eᵢ∂ᵢM at positions within one size, (samples, k, k)."""
+    q = star + size * (2 * quasi_random(_SAMPLES, len(star), 0) - 1)
+    M = sp.Matrix(plant.M)
+    total = _at(plant, M, q)
+    for i, s in enumerate(plant.q):
+        total = total + 0.5 * (q - star)[:, i, None, None] * _at(plant, M.diff(s), q)
+    return total
+
+
+def _at_the_ends(design: Design, plants: Plants | None) -> list[Lagrangian]:
+    """The plants at all ends of the ranges of up to so many parameters."""
+    if plants is None:
+        return []
+    varied = lagrangian(design.loop, design.units, plants)
+    if varied is None:
+        raise OptionError(
+            "usage",
+            f"--integral: {', '.join(plants.ranges)} stand in J or G, or H is not quadratic in p",
+            "Uncertain parameters of integral action are those of inertia, potential and friction.",
+        )
+    names = list(varied.ranges)[:_MOST_ENDS]
+    rest = {s: side[0] for s, side in varied.ranges.items() if s not in names}
+    ends = product(*(varied.ranges[s] for s in names))
+    found = []
+    for values in ends:
+        known = {**rest, **dict(zip(names, values, strict=True))}
+        M, R = varied.M.subs(known), varied.R.subs(known)
+        found.append(replace(varied, M=M, R=R, U=varied.U.subs(known), ranges={}))
+    return found
+
+
+def _at(plant: Lagrangian, matrix: sp.MatrixBase, q: Vector) -> Vector:
+    """A matrix of q at positions (S, k), (S, rows, columns)."""
+    function = casadi_function("matrix", plant.q, matrix)
+    return np.array([np.asarray(function(row), float) for row in q])
+
+
+def _constant(matrix: sp.MatrixBase) -> Vector:
+    return np.array(sp.Matrix(matrix).evalf().tolist(), float)

@@ -1,0 +1,77 @@
+"""Designs of mechanical plants that measure q̇, by hand: quadratic K and Hc."""
+
+import numpy as np
+import sympy as sp
+
+from necc_casadi.casimirs.casimirs import Casimirs
+from necc_casadi.designs.design import Design
+from necc_casadi.lyapunov.networks import Network
+from necc_casadi.lyapunov.parameterization import Form
+from necc_casadi.model.closed_loop import interconnect
+from necc_casadi.model.controller import default_controller
+from necc_casadi.model.mechanical_file import Mechanical, phase_space
+from necc_casadi.model.plant import make_plant
+from necc_casadi.verdict.verdict import Verdict
+
+
+def mechanical_loop(M, V, B, q, friction=None, **about):
+    x = phase_space(q)
+    model = Mechanical.of(x, M, V, B, friction)
+    plant = make_plant(x, *model.structure, **about)
+    object.__setattr__(plant, "inertia", sp.ImmutableMatrix(model.M))
+    loop = interconnect(plant, default_controller(plant))
+    k = len(x) // 2
+    functions = tuple(
+        sp.expand(v) - s
+        for v, s in zip(sp.Matrix(model.B).T * sp.Matrix(x[:k]), loop.controller.xi, strict=True)
+    )
+    return loop, Casimirs(functions, k, k)
+
+
+def sprung(loop, casimirs, target, k, h, D, Dc) -> Design:
+    """V with quadratic K and Hc of curvatures k and h per input, whose minimum is the target."""
+    m = loop.plant.m
+    form = Form(Network(m, (), quadratic=True), Network(m, (), quadratic=True))
+    at = dict(zip(loop.plant.x, [*target, *[0] * m], strict=True))
+    slope = np.array([float(v.subs(at)) for v in loop.plant.grad_H[:m, 0]])
+    B = np.array(sp.Matrix(loop.plant.G[m:, :]).evalf(), float)
+    pull = -np.linalg.solve(B, slope)  # ∇K(c*), and ∇Hc(ξ*) alike
+    c = B.T @ np.array(target, float)
+    k, h = np.full(m, float(k)), np.full(m, float(h))
+    hc = [*np.zeros(m + 1), *h, *(-pull / h)]
+    kk = [*np.zeros(m + 1), *k, *(c - pull / k)]
+    verdict = Verdict(
+        True, "ok", "", (sp.Integer(0),) * m, None, sp.ImmutableMatrix(sp.zeros(2 * m, 0)),
+        None, None, "asymptotic", None,
+    )  # fmt: skip
+    return Design(
+        loop=loop,
+        casimirs=casimirs,
+        x_star=(*map(sp.sympify, target), *[sp.Integer(0)] * m),
+        verdict=verdict,
+        form=form,
+        weights=np.array([*hc, *kk]),
+        xi_star=np.zeros(m),
+        damping=np.diag([D] * m + [Dc] * m).astype(float),
+        a=0.1,
+        a_requested=0.1,
+        seed=0,
+    )
+
+
+def pendulum(limits=None) -> Design:
+    q = sp.Symbol("q", real=True)
+    loop, casimirs = mechanical_loop(1, 1 - sp.cos(q), 1, q, sp.Rational(1, 10), u_limits=limits)
+    return sprung(loop, casimirs, [sp.Rational(3, 4)], 4, 4, 2, 0.5)
+
+
+def arm() -> Design:
+    """Two links with friction, whose inputs are not the joint torques."""
+    q1, q2 = q = sp.symbols("q1 q2", real=True)
+    h = sp.Rational(1, 3) + sp.cos(q2) / 2
+    M = [[sp.Rational(5, 3) + sp.cos(q2), h], [h, sp.Rational(1, 3)]]
+    V = 3 * (1 - sp.cos(q1)) + (1 - sp.cos(q1 + q2)) / 2
+    B = [[1, -1], [0, 2]]
+    friction = [[sp.Rational(1, 5), 0], [0, sp.Rational(1, 10)]]
+    loop, casimirs = mechanical_loop(M, V, B, q, friction)
+    return sprung(loop, casimirs, [sp.Rational(1, 2), sp.Rational(-1, 4)], 20, 20, 3, 0.3)
