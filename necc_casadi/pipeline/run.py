@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import sympy as sp
 
+from necc_casadi.cases import Integrator
 from necc_casadi.certificate.claims.certificate import Certificate
 from necc_casadi.designs.design import Design
 from necc_casadi.designs.outcome import Start
@@ -105,10 +106,10 @@ def run_design(request: Request, say: Say) -> Findings:
     if task.found.chosen is None or request.check:
         return found
     if request.out is None:
-        choice, task = _chosen(task, clock)
+        choice, task = _chosen(request, task, clock)
         return _studied(request, task, found, choice, clock)
     with whole_folder(request.out, _expected(request)) as folder:
-        choice, task = _chosen(task, clock)
+        choice, task = _chosen(request, task, clock)
         with ThreadPoolExecutor(1) as pool:  # compilers run while the loop is simulated and drawn
             exported = pool.submit(
                 _exported, request, choice.design, choice.certificate, folder, clock
@@ -272,7 +273,7 @@ def _answered(task: _Task, options: Options, say: Say) -> Answer:
     return answered(method.loop, method.casimirs, method.verdict, task.x_star, options, report)
 
 
-def _chosen(task: _Task, clock: Clock) -> tuple[Choice, _Task]:
+def _chosen(request: Request, task: _Task, clock: Clock) -> tuple[Choice, _Task]:
     """Train, damp and prove what the options leave to choose from, and keep one.
 
     The task that comes back names the structure that is kept.
@@ -282,7 +283,20 @@ def _chosen(task: _Task, clock: Clock) -> tuple[Choice, _Task]:
     methods = (task.method, *task.found.alternatives)
     choice, method, seconds = best_structure(methods, task.x_star, task.options, clock.say)
     clock.timings.update(seconds)
+    if request.sample_time is not None:
+        choice = _sampled_claim(request.sample_time, request.integrator, choice, clock)
     return choice, replace(task, found=replace(task.found, chosen=method))
+
+
+def _sampled_claim(
+    sample_time: float, integrator: Integrator, choice: Choice, clock: Clock
+) -> Choice:
+    """What is kept, with what is proved of the loop that its C code makes."""
+    from necc_casadi.certificate.prover.certify import with_sampled_loop
+
+    with clock.stage("sampled", "proving the sampled loop"):
+        certificate = with_sampled_loop(choice.design, choice.certificate, sample_time, integrator)
+    return replace(choice, kept=replace(choice.kept, certificate=certificate))
 
 
 @dataclass(frozen=True, eq=False)

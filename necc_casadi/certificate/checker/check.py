@@ -27,6 +27,7 @@ from necc_casadi.certificate.checker.reading import (
     unreadable,
 )
 from necc_casadi.certificate.checker.region.region import check_region, region_proof
+from necc_casadi.certificate.checker.sampled.sampled import check_sampled
 
 __all__ = ["check"]
 
@@ -112,4 +113,6 @@ def _everything(evidence: Evidence) -> list[Checked]:
         results.append(check_clipping(evidence, proof, anywhere and settled.holds))
     if evidence.claimed("global") or certificate.is_global:
         results.append(check_global(evidence, settled.holds))
+    if evidence.claimed("sampled"):
+        results.append(check_sampled(evidence, sound))
     return results
