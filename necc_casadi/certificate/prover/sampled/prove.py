@@ -15,6 +15,7 @@ from necc_casadi.certificate.claims.statements import NotSampled
 from necc_casadi.certificate.prover.arithmetic.definite import positive_definite
 from necc_casadi.certificate.prover.arithmetic.intervals import Interval
 from necc_casadi.certificate.prover.arithmetic.potential import Potential
+from necc_casadi.certificate.prover.arithmetic.tables import TabledPotential
 from necc_casadi.certificate.prover.region.bounds import bounds_of
 from necc_casadi.certificate.prover.sampled.cover import cover
 from necc_casadi.certificate.prover.sampled.metric import Guide, choose_metric
@@ -51,7 +52,7 @@ def prove_sampled(
     if missing is not None:
         return missing
     period = sample_time / design.units.time
-    step, height = Step(Potential(natural), integrator), _height(design, certificate)
+    step, height = Step(TabledPotential(natural), integrator), _height(design, certificate)
     best: SampledRegion | None = None
     for share in _SHARES:
         found = _region(step, period, share * height)
