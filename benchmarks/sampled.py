@@ -3,10 +3,10 @@
     python benchmarks/sampled.py [--starts 10000] [--period 0.05] [--only NAME[@TARGET];…]
 
 The plant comes from the model file alone, the controller from the exported C code; u is held and ξ
-advanced over the elapsed period, the plant by a fixed-step Runge–Kutta method that is written here.
-Half of the starts are in the upper tenth of the level. Periods are of four kinds: the longest,
-uniform, mostly short, and short or long by chance. Counted are samples at which W rises, starts that
-leave the box between two samples, and those that are not near z̄ in the end.
+advanced over the elapsed period, the plant by a fixed-step Runge–Kutta method written here. Half
+of the starts are in the upper tenth of the level. Periods are of four kinds: the longest, uniform,
+mostly short, and short or long by chance. Counted are samples at which W rises, starts that leave
+the box between two samples, and those that are not near z̄ in the end.
 """
 
 from __future__ import annotations
@@ -209,8 +209,8 @@ def main() -> None:
     parser.add_argument("--only", default="pendulum")
     given = parser.parse_args()
     print(
-        "| plant | T, s | local limit, s | W − V(z̄) | proved, s | checked, s | holds | starts | rises "
-        "| outside | late |\n|" + "---|" * 11
+        "| plant | T, s | local limit, s | W − V(z̄) | proved, s | checked, s | holds | starts "
+        "| rises | outside | late |\n|" + "---|" * 11
     )
     for name in given.only.split(";"):
         row = attacked(name, given.period, given.starts, given.real)

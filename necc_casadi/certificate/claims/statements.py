@@ -283,8 +283,9 @@ def sampled(
         f"{_down(region.height * units.energy, 6)}}} in the box {box}{more}, is in it at every "
         "sample and converges to z̄, and between samples x stays where x of Ω_T is. W is V + "
         "½∇VᵀQ∇V with the Q of certificate.json; exact arithmetic, x measured without error, no "
-        f"delay; at each sample ξ is advanced by {_ADVANCED[region.integrator]} over the time since "
-        f"the last one, with the x of that one, then u is computed and held; {inputs}"
+        f"delay; at each sample {_ADVANCED[region.integrator]} advances ξ over the time since the "
+        f"last one, with the x of that one, then u is computed and held; {inputs}. In continuous "
+        "time every solution from Ω_T converges to z̄ as well, exponentially"
     )
 
 

@@ -85,8 +85,9 @@ def cover(
     root: Interval,
     core: Interval,
     level: float,
-    weights: tuple[Vector, Vector],
+    weights: Vector,
     most: int,
+    least: float,
 ) -> Cover:
     """Boxes that prove {W < w₀} for the largest w₀ ≤ `level` that was found, −∞ where none was.
 
@@ -97,14 +98,16 @@ def cover(
     core
         A box (N,) with ∇²V ≻ 0.
     weights
-        How fast Π changes with states and period, (N + 1,), and W with the states, (N,).
+        How fast Π changes with states and period, (N + 1,).
     most
         Boxes that may be looked at.
+    least
+        Levels below this one are of no use.
     """
     tree, done = _Tree(root), 0
     heap: list[tuple[float, int]] = [(-np.inf, 0)]
     limits = step.potential.design.loop.plant.u_limits
-    while heap and heap[0][0] <= level:
+    while heap and heap[0][0] <= level and level > least:
         taken: list[int] = []
         bounds: list[float] = []
         while heap and len(taken) < _BATCH and heap[0][0] <= level:
@@ -119,24 +122,23 @@ def cover(
             np.array([tree.lo[i] for i in taken]), np.array([tree.hi[i] for i in taken])
         )
         Z, s = cells[:, :-1], cells[:, -1]
-        lowest = np.maximum(lower_bounds(step.potential, Q, Z), bounds)
+        lowest, loose = lower_bounds(step.potential, Q, Z)
+        lowest = np.maximum(lowest, bounds)
         proved = np.zeros(len(taken), dtype=bool)
-        far = np.ones(len(taken), dtype=bool)
+        falls_on = np.ones(len(taken), dtype=bool)
         reached = np.flatnonzero(lowest <= level)
         if len(reached):
             sample = step.over(Z[reached], s[reached])
             falls = negative_definite(sample.form(Q)) & _within(sample.inputs, limits)
             alone = _apart(sample.gradient) | _inside(Z[reached], core)
             alone &= ~_at_a_side(Z[reached], root)
-            proved[reached], far[reached] = falls & alone, falls
+            proved[reached], falls_on[reached] = falls & alone, falls
         for k, i in enumerate(taken):
             if lowest[k] > level or proved[k]:
                 tree.node[i] = BEYOND if lowest[k] > level else KEPT
                 continue
-            width = tree.hi[i] - tree.lo[i]
-            share = width * weights[0]
-            if far[k]:
-                share = np.append(width[:-1] * weights[1], 0.0)
+            # where Π ≺ 0 it is W that is not known well enough
+            share = loose[k] if falls_on[k] else (tree.hi[i] - tree.lo[i]) * weights
             side = int(np.argmax(share))
             if tree.depth[i] >= _DEEPEST:
                 level = min(level, float(lowest[k]))
@@ -146,8 +148,11 @@ def cover(
     return Cover(level, tree.packed())
 
 
-def lower_bounds(potential: Potential, Q: Vector, Z: Interval) -> Vector:
-    """Lower bounds of W over boxes (B, N), by its mean-value form, (B,); −∞: nothing is known."""
+def lower_bounds(potential: Potential, Q: Vector, Z: Interval) -> tuple[Vector, Vector]:
+    """Lower bounds of W over boxes (B, N), by its mean-value form, (B,); −∞: nothing is known.
+
+    Besides how much each side of a box adds to what the form does not know, (B, N).
+    """
     with np.errstate(all="ignore"):
         jet, middle = potential.jet(Z), potential.jet(point(Z.mid))
         metric = point(Q[None])
@@ -157,7 +162,9 @@ def lower_bounds(potential: Potential, Q: Vector, Z: Interval) -> Vector:
         form = value + (slope * (Z - Z.mid)).sum()
         plain = jet.value + _square(metric, jet.grad) * 0.5
         best = np.fmax(form.lo, plain.lo)
-    return np.where(np.isnan(best), -np.inf, best)
+        width = Z.hi - Z.lo
+        loose = np.where(np.isfinite(slope.rad), slope.rad, 1.0) * width
+    return np.where(np.isnan(best), -np.inf, best), loose
 
 
 def _square(metric: Interval, g: Interval) -> Interval:

@@ -25,8 +25,8 @@ _RAYS, _PLACES = 400, 2.0 ** np.arange(-4, 6, 1 / 16)
 #: Halvings between two places; steps of a local search, and how much wider than by rays, as a
 #: share, it may find a region: beyond that it went over a pass.
 _HALVINGS, _STEPS, _WIDER = 12, 40, 0.1
-#: The box around {W ≤ w₀} is wider by this share.
-_ROOM = 0.01
+#: The box around {W ≤ w₀} is wider by one of these shares, the first with W > w₀ on a side.
+_ROOMS = (0.15, 0.1, 0.06, 0.03, 0.01)
 
 
 def choose_metric(step: Step, points: Vector, period: float) -> Vector | None:
@@ -111,8 +111,22 @@ class Guide:
             above_it = self._extreme(ends[ends[:, k].argmax()], k, 1.0, height)
             least[k] = below if least[k] - wider[k] < below < least[k] else least[k]
             most[k] = above_it if most[k] < above_it < most[k] + wider[k] else most[k]
-        room = _ROOM * (most - least)
-        return Interval(least - room, most + room)
+        return self._with_room(least, most, height)
+
+    def _with_room(self, least: Vector, most: Vector, height: float) -> Interval:
+        """A wider box, so that W is well above the height on its sides where it can be."""
+        width = most - least
+        shares = np.random.default_rng(2).uniform(size=(_RAYS, len(least)))
+        lo, hi = least - _ROOMS[-1] * width, most + _ROOMS[-1] * width
+        for k in range(len(least)):
+            for ends, end, sign in ((lo, least, -1.0), (hi, most, 1.0)):
+                for room in _ROOMS:
+                    side = least + shares * width
+                    side[:, k] = end[k] + sign * room * width[k]
+                    if (self.W(side) > height).all():
+                        ends[k] = end[k] + sign * room * width[k]
+                        break
+        return Interval(lo, hi)
 
     def inside(self, height: float, count: int) -> Vector:
         """States (count, N) of {W − V(z̄) ≤ height} along rays from z̄."""

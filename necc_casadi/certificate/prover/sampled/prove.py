@@ -31,6 +31,11 @@ _POINTS, _STARTS = 60, 200
 #: Boxes that may be looked at, for each share of the height that is tried; of a share, this much
 #: is enough.
 _MOST, _SHARES, _ENOUGH = 30_000, (1.0, 0.7, 0.4), 0.9
+#: The same for each longer period that is tried, and the factors by which it is: the first as long
+#: as they succeed, then the second.
+_LONGER, _FACTORS, _TRIALS = 10_000, (2.0, 2.0**0.5), 8
+#: The share of the height that a longer period has to reach.
+_AS_HIGH = 0.999
 #: The share of w₀ − V(z̄) that is given away, for other arithmetic.
 _EASED = 1e-6
 #: The core reaches this share of the way to the box, and is made smaller by this factor.
@@ -42,7 +47,7 @@ _APART, _LEAST = 0.02, 0.02
 def prove_sampled(
     design: Design, certificate: Certificate, sample_time: float, integrator: Integrator
 ) -> SampledRegion | NotSampled:
-    """The region from which the sampled loop converges for all periods up to one (s).
+    """The region from which the sampled loop converges for all periods up to one (s), or longer.
 
     It is as high as Ω where the certificate has one, and otherwise as what holds the starts of the
     domain, or lower where that is not proved.
@@ -60,7 +65,20 @@ def prove_sampled(
             best = found
         if best is not None and best.height >= _ENOUGH * share * height:
             break
-    return best or "no region is proved for the sample time asked for"
+    if best is None:
+        return "no region is proved for the sample time asked for"
+    return _longest(step, best)
+
+
+def _longest(step: Step, found: SampledRegion) -> SampledRegion:
+    """The region of the longest period that was found to reach as high."""
+    for factor in _FACTORS:
+        for _ in range(_TRIALS):
+            longer = _region(step, factor * found.period, found.height, _LONGER, _AS_HIGH)
+            if longer is None:
+                break
+            found = longer
+    return found
 
 
 def _missing(design: Design, certificate: Certificate, integrator: Integrator) -> NotSampled | None:
@@ -91,8 +109,10 @@ def _height(design: Design, certificate: Certificate) -> float:
     return float((natural.lyapunov.V(np.array(starts)) - natural.V(natural.z_bar)).max())
 
 
-def _region(step: Step, period: float, height: float) -> SampledRegion | None:
-    """{W < w₀} with w₀ − V(z̄) up to a height."""
+def _region(
+    step: Step, period: float, height: float, most: int = _MOST, enough: float = 0.0
+) -> SampledRegion | None:
+    """{W < w₀} with w₀ − V(z̄) up to a height, by as many boxes; None: less than enough of it."""
     potential, design = step.potential, step.potential.design
     plain = Guide(design, np.zeros((design.loop.n,) * 2))
     points = plain.inside(height, _POINTS)
@@ -108,8 +128,9 @@ def _region(step: Step, period: float, height: float) -> SampledRegion | None:
     core = _core(potential, box)
     root = Interval(np.append(box.lo, 0.0), np.append(box.hi, period))
     weights = _weights(step, guide, points, period)
-    found = cover(step, Q, root, core, bottom + height, weights, _MOST)
-    if not found.level > bottom:
+    least = bottom + enough * height
+    found = cover(step, Q, root, core, bottom + height, weights, most, least)
+    if not found.level > least:
         return None
     return SampledRegion(
         period,
@@ -135,8 +156,11 @@ def _core(potential: Potential, box: Interval) -> Interval:
     return Interval(z_bar, z_bar)
 
 
-def _weights(step: Step, guide: Guide, points: Vector, period: float) -> tuple[Vector, Vector]:
-    """How fast Π changes with each state and the period, (N + 1,), and W with the states, (N,)."""
+def _weights(step: Step, guide: Guide, points: Vector, period: float) -> Vector:
+    """How fast Π changes with each state and the period, (N + 1,).
+
+    A wide box also moves over more states: what it does to their rates counts for a period.
+    """
     size, design = points.shape[1], guide.design
     S = design.lyapunov.hessian(design.z_bar)
     values, vectors = np.linalg.eigh(S)
@@ -155,6 +179,6 @@ def _weights(step: Step, guide: Guide, points: Vector, period: float) -> tuple[V
         moved[:, k] += _APART * scale[k]
         change = np.linalg.norm(form(moved) - base, axis=(-2, -1)) / (_APART * scale[k])
         rates[k] = np.nanmedian(change)
-    rates = np.maximum(rates, _LEAST * np.nanmax(rates * scale) / scale)
-    slopes = np.median(np.abs([guide.slope(z) for z in points]), axis=0)
-    return rates, slopes
+    spread = np.abs(design.lyapunov.linearisation(design.z_bar)).T @ rates[:-1]
+    rates[:-1] += period * spread
+    return np.asarray(np.maximum(rates, _LEAST * np.nanmax(rates * scale) / scale), float)
