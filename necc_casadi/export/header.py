@@ -124,7 +124,20 @@ def _sampling(source: Source) -> str:
         lines.append(f"stable up to {result.largest_stable:.3g} s")
     if result.warning is not None:
         lines.append(f"WARNING: {result.warning}")
-    return "\n/* " + ";\n * ".join(lines) + ". */"
+    local = "\n/* " + ";\n * ".join(lines) + ". */"
+    return local + _sampled_claim(source)
+
+
+def _sampled_claim(source: Source) -> str:
+    """What is proved of the loop that this code makes, called with the time since the last call."""
+    if source.sampled_claim is None:
+        return ""
+    kept = "" if source.real == "double" else " This code rounds to float; the claim does not."
+    text = (
+        "Proved of the sampled loop, where dt of necc_step is the time since the last call, 0 at "
+        f"the first: {source.sampled_claim}.{kept}"
+    )
+    return f"\n/*\n{_item(comment(text))}\n */"
 
 
 def _measured(source: Source) -> str:

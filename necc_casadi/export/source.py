@@ -12,6 +12,7 @@ import numpy as np
 
 from necc_casadi.cases import NAME_IN_C, Integrator, Precision
 from necc_casadi.certificate.claims.certificate import Certificate
+from necc_casadi.certificate.claims.claim import Claim
 from necc_casadi.designs.design import Design, refuse_other
 from necc_casadi.errors import OptionError
 from necc_casadi.export.casadi2c import Real
@@ -76,9 +77,19 @@ class Source:
 
     @property
     def claims(self) -> tuple[str, ...]:
-        """What is claimed, in words."""
+        """What is claimed of the loop in continuous time, in words."""
+        held = self._held
+        return tuple(claim.statement for claim in held if claim.name != "sampled")
+
+    @property
+    def sampled_claim(self) -> str | None:
+        """What is claimed of the loop that this code makes, in words."""
+        return next((claim.statement for claim in self._held if claim.name == "sampled"), None)
+
+    @property
+    def _held(self) -> tuple[Claim, ...]:
         claims = () if self.certificate is None else self.certificate.claims
-        return tuple(claim.statement for claim in claims if claim.holds)
+        return tuple(claim for claim in claims if claim.holds)
 
     def named(self, code: str) -> str:
         """C code with the prefix of this export."""

@@ -346,7 +346,7 @@ def _plant(title: str, file: _Reader) -> System:
     if _wants_velocity(file):
         raise ModelError(
             "model_file",
-            f"measured = 'velocity', but {path.name} gives no momenta",
+            f"measured = 'velocity', but {title} gives no momenta",
             _NO_VELOCITY,
         )
     if limits is not None and len(limits) != plant.m:

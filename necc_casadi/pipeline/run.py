@@ -246,8 +246,8 @@ def _judged(request: Request, say: Say) -> _Task:
     if request.integral is not False and found.chosen is not None:
         from necc_casadi.synthesis.integral import refuse_integral
 
-        method = found.chosen
-        refuse_integral(method.loop, method.casimirs.functions, options.phi == "sum")
+        held = found.chosen
+        refuse_integral(held.loop, held.casimirs.functions, options.phi == "sum")
     if found.chosen is not None and not is_plant:
         notes += check_model_at(found.chosen.loop, x_star)
     if found.published is not None:
@@ -309,21 +309,41 @@ class _Kept:
 
 
 def _kept(request: Request, task: _Task, clock: Clock) -> tuple[_Kept, _Task]:
-    """The choice, with integral action on top where it is asked for."""
+    """The choice, with integral action on top and the sampled loop proved where asked for."""
     choice, task = _chosen(task, clock)
+    made, certificate = _with_plants(request, task, choice, clock)
+    certificate = _with_sampled_loop(request, made, certificate, clock)
+    return _Kept(made, certificate, choice), task
+
+
+def _with_plants(
+    request: Request, task: _Task, choice: Choice, clock: Clock
+) -> tuple[Design, Certificate]:
+    """The design that was chosen, with integral action where it is asked for."""
     plants = None
     if task.model.uncertain and task.model.parametric is not None:
         plants = Plants(task.model.parametric, task.model.uncertain)
     if request.integral is False:
-        certificate = _with_momenta(choice.design, choice.certificate, plants)
-        return _Kept(choice.design, certificate, choice), task
+        return choice.design, _with_momenta(choice.design, choice.certificate, plants)
     from necc_casadi.certificate.prover.certify import certify
     from necc_casadi.synthesis.integral import with_integral
 
     with clock.stage("integral", "adding integral action"):
         tau = None if request.integral is True else float(request.integral)
         made = with_integral(choice.design, tau, plants)
-        return _Kept(made, certify(made, plants=plants), choice), task
+        return made, certify(made, plants=plants)
+
+
+def _with_sampled_loop(
+    request: Request, made: Design, certificate: Certificate, clock: Clock
+) -> Certificate:
+    """The certificate with what is proved of the loop that the C code makes."""
+    from necc_casadi.certificate.prover.certify import with_sampled_loop
+
+    if request.sample_time is None:
+        return certificate
+    with clock.stage("sampled", "proving the sampled loop"):
+        return with_sampled_loop(made, certificate, request.sample_time, request.integrator)
 
 
 def _with_momenta(made: Design, certificate: Certificate, plants: Plants | None) -> Certificate:

@@ -40,7 +40,8 @@ _CAPTIONS = {
 #: What every claim is about, unless it says otherwise.
 _ABOUT = (
     "Proved means by exact algebra or by interval arithmetic with outward rounding, about the "
-    "numbers stored in design.json, for the continuous-time loop of the model; inputs are not "
+    "numbers stored in design.json, for the continuous-time loop of the model, where a claim does "
+    "not say that it is about the sampled one; inputs are not "
     "clipped unless a claim says that clipping changes nothing. necc-certify proves each claim "
     "again with other arithmetic."
 )
@@ -49,8 +50,8 @@ _ABOUT = (
 #: What no claim is about.
 _BEYOND = (
     "Nothing is claimed about the real plant where it differs from the model, about noise, delay "
-    "or wrong measurements, nor about the sampled loop of the C code. Responses, margins, costs "
-    "and shares are simulated or computed, not proved."
+    "or wrong measurements, nor about the sampled loop of the C code unless a claim says so. "
+    "Responses, margins, costs and shares are simulated or computed, not proved."
 )
 
 

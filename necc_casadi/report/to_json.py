@@ -55,7 +55,12 @@ def to_json(found: Findings) -> dict[str, Any]:
         "warnings": found.warnings,
         "sizes": None if found.design is None else found.design.named_sizes,
         "responses": [_response(r) for r in found.responses] or None,
-        "sampling": None if found.sampling is None else vars(found.sampling),
+        "sampling": None
+        if found.sampling is None or found.design is None
+        else {
+            **vars(found.sampling),
+            "proved": _sampled_region(found.design, found.certificate),
+        },
         "asked": None if found.asked is None else _asked(found.asked),
         "performance": None
         if found.performance is None
@@ -120,6 +125,25 @@ def _integral(design: Design, certificate: Certificate | None) -> dict[str, Any]
         "gain": integral.gain.tolist(),
         "limit": integral.limit.tolist(),
         **found,
+    }
+
+
+def _sampled_region(made: Design, certificate: Certificate | None) -> dict[str, Any] | None:
+    """From where the sampled loop is proved to converge, in the units of the model."""
+    region = None if certificate is None else certificate.sampled
+    if certificate is None or region is None:
+        return None
+    units = certificate.units
+    pairs = zip(region.metric, units.state, strict=True)
+    sides = zip(made.loop.states, region.box, units.state, strict=True)
+    return {
+        "longest_period": region.period * units.time,
+        "level_above_minimum": region.height * units.energy,
+        "metric": [
+            [q * a * b / units.energy for q, b in zip(row, units.state, strict=True)]
+            for row, a in pairs
+        ],
+        "box": {name: [lo * unit, hi * unit] for name, (lo, hi), unit in sides},
     }
 
 

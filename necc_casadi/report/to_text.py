@@ -122,7 +122,7 @@ def facts(found: Findings) -> list[tuple[str, str]]:
     if found.choice is not None:
         rows.append(("starts", _starts(found.choice.kept)))
     if found.sampling is not None:
-        rows.append(("sampled", _sampled(found.sampling)))
+        rows.append(("sampled", _sampled(found.sampling, found.certificate)))
     if found.certificate is not None:
         rows += integral_rows(found) + _region_rows(found, found.certificate)
         rows += [
@@ -164,6 +164,8 @@ def brief(found: Findings) -> list[tuple[str, str]]:
         rows += _compared_rows(found.performance, found.system)
     if found.responses:
         rows.append(("responses", _responses(found)))
+    if found.sampling is not None:
+        rows.append(("sampled", _sampled(found.sampling, certificate)))
     if certificate is not None:
         rows += integral_rows(found)
         rows += [] if integral_rows(found) else _region_rows(found, certificate)[:2]
@@ -368,15 +370,23 @@ def _design_rows(
     ]
 
 
-def _sampled(sampling: SampledLoop) -> str:
+def _sampled(sampling: SampledLoop, certificate: Certificate | None) -> str:
     limit = (
         "no largest stable sample time was found"
         if sampling.largest_stable is None
         else f"stable up to {sampling.largest_stable:.3g} s"
     )
-    return (
+    local = (
         f"at {sampling.sample_time:g} s the sampled loop has spectral radius "
-        f"{sampling.spectral_radius:.4f} at z̄; {limit} (linearised)"
+        f"{sampling.spectral_radius:.4f} at z̄; {limit} (linearised, near z̄ only)"
+    )
+    region = None if certificate is None else certificate.sampled
+    if certificate is None or region is None:
+        return f"{local}; from no region it is proved to converge"
+    units = certificate.units
+    return (
+        f"proved to converge from a region for all periods up to {region.period * units.time:.4g} "
+        f"s; {local}"
     )
 
 

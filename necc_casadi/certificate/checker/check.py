@@ -33,6 +33,7 @@ from necc_casadi.certificate.checker.reading import (
     unreadable,
 )
 from necc_casadi.certificate.checker.region.region import check_region, region_proof
+from necc_casadi.certificate.checker.sampled.sampled import check_sampled
 
 __all__ = ["check"]
 
@@ -124,4 +125,6 @@ def _everything(evidence: Evidence, plant_file: Callable[[], str | None]) -> lis
     integral = check_integral(evidence, plain, plant_file)
     fed = check_momenta(evidence, all(part.holds for part in decrease), plant_file)
     results += [claim for claim in (integral, fed) if claim is not None]
+    if evidence.claimed("sampled"):
+        results.append(check_sampled(evidence, sound))
     return results

@@ -19,6 +19,7 @@ from necc_casadi.certificate.claims.regions import (
     Side,
     Stability,
 )
+from necc_casadi.certificate.claims.sampled import SampledRegion
 from necc_casadi.certificate.claims.units import Units
 from necc_casadi.errors import OutputError
 
@@ -32,6 +33,8 @@ _ASKED = {"region", "measurement", "integral"}
 @dataclass(frozen=True)
 class Certificate:
     """What is proved about a design, for the continuous-time, unsaturated loop.
+
+    A claim `sampled` is about the loop of the C code.
 
     Every claim is about the V of the stored weights, read as exact binary numbers
     (docs/certificate-format.md).
@@ -87,6 +90,12 @@ class Certificate:
     def of_the_whole_space(self) -> bool:
         """Whether what is claimed of solutions is claimed from everywhere."""
         return any(claim.name == "global" and claim.holds for claim in self.claims)
+
+    @property
+    def sampled(self) -> SampledRegion | None:
+        """The region of the sampled loop, natural units; None: none is proved."""
+        held = (c for c in self.claims if c.name == "sampled" and c.holds)
+        return next((SampledRegion.read(claim.data) for claim in held), None)
 
     @property
     def limited_by(self) -> str | None:

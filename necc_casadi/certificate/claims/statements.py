@@ -14,6 +14,8 @@ from typing import Literal, get_args
 
 from necc_casadi.certificate.claims.motions import Follows
 from necc_casadi.certificate.claims.regions import MOST_KEPT, Obstacle, ObstacleKind
+from necc_casadi.certificate.claims.sampled import Method, SampledRegion
+from necc_casadi.certificate.claims.units import Units
 
 __all__ = [
     "CLIPPED_EVERYWHERE",
@@ -35,6 +37,7 @@ __all__ = [
     "STRUCTURE",
     "TOO_MANY",
     "Missing",
+    "NotSampled",
     "attraction",
     "casimir",
     "clipping",
@@ -49,6 +52,8 @@ __all__ = [
     "not_global",
     "ranges",
     "region",
+    "sampled",
+    "sampled_is_not_covered",
     "slope",
     "unproved",
 ]
@@ -154,6 +159,21 @@ Missing = Literal[
     "V is not proved to be radially unbounded",
     "V is not proved to have no other critical point",
 ]
+
+
+#: What may be missing for a claim about the sampled loop.
+NotSampled = Literal[
+    "V is not proved to decrease around a proved minimum",
+    "only Φ = H + Hc + C is covered",
+    "only the published loop is covered",
+    "only Euler's and Heun's methods are covered",
+    "the structure of the controller depends on its states",
+    "no region is proved for the sample time asked for",
+]
+
+
+#: How ξ is advanced, in words.
+_ADVANCED: dict[Method, str] = {"euler": "Euler's method", "heun": "Heun's method"}
 
 
 NO_REGION = "no region without a proof of stability"
@@ -270,6 +290,7 @@ def unproved(limits: Sequence[Sequence[float]]) -> Mapping[str, frozenset[str]]:
         "measurement": frozenset([NOT_MEASURED]),
         "momenta": frozenset([NO_MOMENTA]),
         "integral": frozenset([INTEGRAL_IS_NOT_COVERED, NO_INTEGRAL]),
+        "sampled": frozenset(map(sampled_is_not_covered, get_args(NotSampled))),
     }
 
 
@@ -313,6 +334,34 @@ def clipping(limits: Sequence[Sequence[float]], height: float, whole: bool) -> s
 def no_clipping(limits: Sequence[Sequence[float]]) -> str:
     """Where u without damping is not proved to stay within the limits of the model."""
     return f"no neighbourhood of z̄ is proved to keep u without its damping within {ranges(limits)}"
+
+
+def sampled(
+    region: SampledRegion, states: Sequence[str], units: Units, limits: Sequence[Sequence[float]]
+) -> str:
+    """Of the sampled loop from {W < w₀}, for all periods up to the longest."""
+    period = _down(region.period * units.time, 6)
+    box = ", ".join(
+        f"{name} in [{_up(lo * unit, 6)}, {_down(hi * unit, 6)}]"
+        for name, (lo, hi), unit in list(zip(states, region.box, units.state, strict=True))[:_TOLD]
+    )
+    inputs = "u is not clipped" if not limits else f"u stays within {ranges(limits)} there"
+    more = ", …" if len(states) > _TOLD else ""
+    return (
+        f"for every sequence of sampling periods in (0, {period}] s whose sum is infinite, every "
+        "solution of the sampled loop that starts in Ω_T, the part of {W − V(z̄) < "
+        f"{_down(region.height * units.energy, 6)}}} in the box {box}{more}, is in it at every "
+        "sample and converges to z̄, and between samples x stays where x of Ω_T is. W is V + "
+        "½∇VᵀQ∇V with the Q of certificate.json; exact arithmetic, x measured without error, no "
+        f"delay; at each sample {_ADVANCED[region.integrator]} advances ξ over the time since the "
+        f"last one, with the x of that one, then u is computed and held; {inputs}. In continuous "
+        "time every solution from Ω_T converges to z̄ as well, exponentially"
+    )
+
+
+def sampled_is_not_covered(missing: NotSampled) -> str:
+    """Where nothing is proved of the sampled loop."""
+    return f"nothing is claimed of the sampled loop: {missing}"
 
 
 def ranges(limits: Sequence[Sequence[float]]) -> str:

@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from necc_casadi.cases import Integrator
 from necc_casadi.certificate.claims import statements
 from necc_casadi.certificate.claims.certificate import Certificate
 from necc_casadi.certificate.claims.claim import Claim
@@ -19,6 +20,7 @@ from necc_casadi.certificate.claims.regions import (
     Side,
     Stability,
 )
+from necc_casadi.certificate.claims.sampled import SampledRegion
 from necc_casadi.certificate.claims.units import Units
 from necc_casadi.certificate.prover.arithmetic.intervals import Interval, self_test
 from necc_casadi.certificate.prover.arithmetic.potential import Potential
@@ -32,12 +34,13 @@ from necc_casadi.certificate.prover.integral import prove_integral
 from necc_casadi.certificate.prover.measurement import prove_measurement
 from necc_casadi.certificate.prover.region.proof import RegionProof
 from necc_casadi.certificate.prover.region.region import prove_region, prove_region_within_limits
+from necc_casadi.certificate.prover.sampled.prove import prove_sampled
 from necc_casadi.certificate.prover.solutions import what_follows
 from necc_casadi.certificate.prover.vanishing_damping import prove_slow_attraction
 from necc_casadi.designs.design import Design
 from necc_casadi.model.lagrangian import Plants
 
-__all__ = ["certify", "units_of"]
+__all__ = ["certify", "units_of", "with_sampled_loop"]
 
 
 Report = Callable[[str, float], None]
@@ -51,6 +54,8 @@ def certify(
     design: Design,
     *,
     region: bool = True,
+    sample_time: float | None = None,
+    integrator: Integrator = "heun",
     report: Report | None = None,
     plants: Plants | None = None,
 ) -> Certificate:
@@ -62,6 +67,10 @@ def certify(
         The finished design.
     region
         Whether to look for a region, input limits and the whole space, which takes longest.
+    sample_time
+        Sampling periods (s) up to which the sampled loop is to be proved as well.
+    integrator
+        How ξ is advanced over one.
     report
         Called with the stage at hand and the share that is done.
     plants
@@ -99,12 +108,41 @@ def certify(
     told("decrease", 0.5)
     claims, stability = _local(design, potential, equilibrium)
     certificate = _collect(design, claims, equilibrium, stability)
-    if not region:
-        return certificate
-    told("region", 0.0)
-    certificate = _extended(certificate, design, potential, equilibrium, plants)
-    told("region", 1.0)
+    if region:
+        told("region", 0.0)
+        certificate = _extended(certificate, design, potential, equilibrium, plants)
+        told("region", 1.0)
+    if sample_time is not None:
+        told("sampled", 0.0)
+        certificate = with_sampled_loop(design, certificate, sample_time, integrator)
+        told("sampled", 1.0)
     return certificate
+
+
+def with_sampled_loop(
+    design: Design, certificate: Certificate, sample_time: float, integrator: Integrator
+) -> Certificate:
+    """The certificate with what is proved of the loop that the C code makes.
+
+    Parameters
+    ----------
+    sample_time
+        The period (s) up to which it is to converge whatever the periods are.
+    integrator
+        How ξ is advanced over one.
+
+    References
+    ----------
+    docs/theory.md#sampled-loop.
+    """
+    found = prove_sampled(design, certificate, sample_time, integrator)
+    if isinstance(found, SampledRegion):
+        limits = design.loop.plant.u_limits or ()
+        text = statements.sampled(found, design.loop.states, units_of(design), limits)
+        claim = Claim("sampled", True, text, found.data)
+    else:
+        claim = Claim("sampled", False, statements.sampled_is_not_covered(found))
+    return replace(certificate, claims=(*certificate.claims, claim))
 
 
 def _local(

@@ -7,7 +7,7 @@ Results are kept per box, since neighbouring cells ask for the same ones.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 import sympy as sp
@@ -22,6 +22,8 @@ __all__ = ["Energy", "hessian_hull"]
 
 #: The entries of a matrix, by rows.
 Table = list[list[arb]]
+#: The entries of a symmetric matrix, i ≤ j.
+_Packed = Mapping[tuple[int, int], arb]
 
 
 class _Term:
@@ -170,14 +172,22 @@ class Energy:
 
         Where Φ is the sum, ∇²K and ∇²Hc enter through one matrix below (above) all of theirs.
         """
+        sharp = self.phi is None
+        return self._curvature(box, lambda h, k: _loewner(h, k, sign) if sharp else h)
+
+    def entries(self, box: Box) -> arb_mat:
+        """∇²V over a box, entry by entry."""
+        return self._curvature(box, lambda h, _: h)
+
+    def _curvature(self, box: Box, made: Callable[[_Packed, int], _Packed]) -> arb_mat:
+        """∇²V with the Hessians of Hc and of K, of as many inputs, as they are made."""
         H, first = self._tables[0][2], self.d - self.model.nc
         _, _, curved = self.hc(box[first:])
         _, inner, outer, curved_k = self._casimir(box)
-        sharp = self.phi is None
         total = [[h(box) for h in row] for row in H]
-        self._add(total, _loewner(curved, self.model.nc, sign) if sharp else curved, first)
+        self._add(total, made(curved, self.model.nc), first)
         part = [[arb(0)] * self.d for _ in range(self.d)] if self.phi is not None else total
-        weights = _loewner(curved_k, len(inner), sign) if sharp else curved_k
+        weights = made(curved_k, len(inner))
         for a, (_, _, ddc) in enumerate(inner):
             for i in range(self.d):
                 for j in range(self.d):

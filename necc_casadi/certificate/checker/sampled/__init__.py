@@ -1,0 +1,1 @@
+"""The sampled loop, proved again in Arb balls."""

@@ -1,0 +1,162 @@
+"""One sample of the loop over a box in Arb balls: z⁺ − z = s Ñ ∇V (docs/theory.md#sampled-loop)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from functools import reduce
+from itertools import count
+
+import sympy as sp
+from flint import arb, arb_mat
+
+from necc_casadi.certificate.checker.arithmetic.balls import Box, ball, ends
+from necc_casadi.certificate.checker.arithmetic.potential import Energy
+from necc_casadi.certificate.checker.arithmetic.tapes import Tape
+from necc_casadi.certificate.checker.model import StoredDesign
+from necc_casadi.certificate.checker.sampled.linear import Linear
+
+__all__ = ["StepProof"]
+
+
+#: Tries to enclose the motion of a sample; boxes are widened to multiples of this, so that many
+#: are alike.
+_TRIES, _GRID = 6, 2.0**-8
+
+
+class StepProof:
+    """The sampled loop of a stored design, as the exported method advances it."""
+
+    def __init__(self, model: StoredDesign, energy: Energy, integrator: str) -> None:
+        self.model, self.energy, self.heun = model, energy, integrator == "heun"
+        n, z = model.n, model.z
+        damping = sp.Matrix(
+            [[sp.Rational(*v.as_integer_ratio()) for v in r] for r in model.damping]
+        )
+        flow = model.Jcl - model.Rcl - model.ports * damping * model.ports.T
+        self.flow = flow
+        given = [sp.Dummy("u", real=True) for _ in range(model.m)]
+        gradient = sp.Matrix([sp.diff(model.H, v) for v in z[:n]])
+        field = (model.J - model.R) * gradient + model.G * sp.Matrix(given)
+        self._flow = Tape(list(flow), z)
+        self._field = Tape(list(field), [*z[:n], *given])
+        self._slopes = Tape(list(field.jacobian(z[:n])), [*z[:n], *given])
+        self._feedback = Tape(list(model.feedback), z)
+        self._ports = Tape(list(damping[: model.m, :] * model.ports.T), z)
+
+    @property
+    def covered(self) -> bool:
+        """Whether ξ̇ is (N∇V)_ξ with an N that ξ does not enter."""
+        return not self.flow.has(*self.model.z[self.model.n :])
+
+    def inputs(self, box: Box, gradient: Sequence[arb]) -> list[arb]:
+        """U over a box."""
+        model, values = self.model, [ball(*side) for side in box]
+        slopes = self.energy.hc(box[-model.nc :])[1]
+        A = _table(self._feedback(values), model.nc)
+        B = _table(self._ports(values), len(box))
+        return [-_dot(a, slopes) - _dot(b, gradient) for a, b in zip(A, B, strict=True)]
+
+    def form(
+        self, box: Box, gradient: list[arb], u: list[arb], period: tuple[float, float], Q: arb_mat
+    ) -> Linear | None:
+        """A matrix with symmetric part Π, W(z⁺) − W(z) = s ∇VᵀΠ∇V; None: the motion is not held."""
+        model, names = self.model, count()
+        n, size, last = model.n, len(box), period[1]
+        values = [ball(*side) for side in box]
+        N = _table(self._flow(values), size)
+        rate = [_dot(row, gradient) for row in N]
+        X = self._motion(box[:n], u, last)
+        if X is None:
+            return None
+        upto = ball(0.0, last)
+        there = [v + upto * r for v, r in zip(values[n:], rate[n:], strict=True)]
+        bent: list[list[arb]] | None = None
+        if self.heun:
+            S = self.energy.entries(_outwards([*values[:n], *there]))
+            bent = (arb_mat(N[n:]) * arb_mat([row[n:] for row in S.tolist()])).tolist()
+            more = [_dot(row, rate[n:]) for row in bent]
+            there = [
+                v + upto * (r + upto * a / 2)
+                for v, r, a in zip(values[n:], rate[n:], more, strict=True)
+            ]
+        entries = self.energy.entries(_outwards([*(ball(*side) for side in X), *there])).tolist()
+        mean, weighted = (Linear.of(entries, names, True) for _ in range(2))
+        slopes = _table(self._slopes([*(ball(*side) for side in X), *u]), n)
+        s = (next(names), arb(period[0] / 2 + period[1] / 2), arb(0))
+        s = (s[0], s[1], _spread(period, s[1]))
+        step = self._factor(slopes, bent, s, last, names, size) @ Linear.of(N, names, False)
+        metric = Linear(Q, {})
+        turned = mean @ step
+        second = step.T @ (weighted @ step) + turned.T @ (metric @ turned)
+        return step + metric @ turned + second.scaled(s).times(arb(1) / 2)
+
+    def _factor(
+        self,
+        slopes: list[list[arb]],
+        bent: list[list[arb]] | None,
+        s: tuple[int, arb, arb],
+        last: float,
+        names: count[int],
+        size: int,
+    ) -> Linear:
+        """Diag(I + (s/2)A₁ + (s²/6)A₂A₃ + …, I + (s/2)(N S′)_ξξ)."""
+        n = len(slopes)
+        block = [[arb(0)] * size for _ in range(size)]
+        for i, row in enumerate(slopes):
+            block[i][:n] = row
+        for i, row in enumerate(bent or []):
+            block[n + i][n:] = row
+        result = Linear.of(block, names, False).scaled(s).times(arb(1) / 2)
+        A = arb_mat(slopes)
+        square = A * A
+        norm = reduce(arb.max, (sum(map(abs, row), arb(0)).upper() for row in slopes))
+        tail = (norm * last) ** 3 / 24 * (norm * last).exp()
+        whole = s[1] + ball(-1.0, 1.0) * s[2]
+        rest = arb_mat(size, size)
+        for i in range(n):
+            for j in range(n):
+                rest[i, j] = square[i, j] * (whole * whole) / 6
+                rest[i, j] += ball(-1.0, 1.0) * tail
+        identity = arb_mat([[int(i == j) for j in range(size)] for i in range(size)])
+        return result + Linear(identity + rest, {})
+
+    def _motion(self, X: Box, u: list[arb], last: float) -> Box | None:
+        """A box that no motion from X leaves up to the last time; None: none was found."""
+        upto, held = ball(0.0, last), X
+        for _ in range(_TRIES):
+            rates = self._field([*(ball(*side) for side in held), *u])
+            if not all(r.is_finite() for r in rates):
+                return None
+            tried = _outwards([ball(*side) + upto * r for side, r in zip(X, rates, strict=True)])
+            if all(a <= lo and hi <= b for (a, b), (lo, hi) in zip(held, tried, strict=True)):
+                return tried
+            held = tuple(
+                (min(a[0], b[0]) - _GRID, max(a[1], b[1]) + _GRID)
+                for a, b in zip(held, tried, strict=True)
+            )
+        return None
+
+
+def _spread(period: tuple[float, float], middle: arb) -> arb:
+    """A radius about the middle."""
+    return (arb(period[1]) - middle).max(middle - arb(period[0])).upper()
+
+
+def _outwards(values: Sequence[arb]) -> Box:
+    """A box around balls, its ends multiples of the grid."""
+    sides = []
+    for v in values:
+        if not v.is_finite():
+            return ((math.nan, math.nan),) * len(values)
+        lo, hi = ends(v)
+        sides.append((math.floor(lo / _GRID) * _GRID, math.ceil(hi / _GRID) * _GRID))
+    return tuple(sides)
+
+
+def _table(values: Sequence[arb], columns: int) -> list[list[arb]]:
+    return [list(values[k : k + columns]) for k in range(0, len(values), columns)]
+
+
+def _dot(a: Sequence[arb], b: Sequence[arb]) -> arb:
+    return sum((x * y for x, y in zip(a, b, strict=True)), arb(0))

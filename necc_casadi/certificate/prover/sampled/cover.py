@@ -1,0 +1,193 @@
+"""Boxes of states and periods on which a step of the sampled loop is proved, by halving.
+
+On each box that meets {W ≤ w₀} is Π ≺ 0, u within its limits, and ∇V ≠ 0 or the box in a core with
+∇²V ≻ 0; no such box is at a side of the whole. What is not proved lowers w₀.
+"""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from necc_casadi.arrays import Truth, Vector
+from necc_casadi.certificate.claims.sampled import BEYOND, KEPT, SPLIT, packed_tree
+from necc_casadi.certificate.prover.arithmetic.affine import negative_definite
+from necc_casadi.certificate.prover.arithmetic.intervals import Interval, matmul, point
+from necc_casadi.certificate.prover.arithmetic.potential import Potential
+from necc_casadi.certificate.prover.sampled.step import Step
+
+__all__ = ["Cover", "cover"]
+
+
+#: Boxes at once, and how often one is halved at most.
+_BATCH, _DEEPEST = 512, 40
+
+
+@dataclass(frozen=True, eq=False)
+class Cover:
+    """What was proved."""
+
+    level: float  # w₀, of W
+    tree: str
+
+
+@dataclass(eq=False)
+class _Tree:
+    """Boxes, the root first; `cut` is the side that was halved, `kind` of a leaf."""
+
+    root: Interval
+    lo: list[Vector] = field(default_factory=list)
+    hi: list[Vector] = field(default_factory=list)
+    node: list[int] = field(default_factory=list)
+    below: list[tuple[int, int]] = field(default_factory=list)
+    depth: list[int] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self.add(self.root.lo, self.root.hi, 0)
+
+    def add(self, lo: Vector, hi: Vector, depth: int) -> int:
+        """A new box."""
+        self.lo.append(lo)
+        self.hi.append(hi)
+        self.node.append(BEYOND)
+        self.below.append((-1, -1))
+        self.depth.append(depth)
+        return len(self.node) - 1
+
+    def split(self, i: int, side: int) -> tuple[int, int]:
+        """Both halves of a box."""
+        lo, hi = self.lo[i], self.hi[i]
+        middle = lo[side] / 2 + hi[side] / 2
+        left, right = hi.copy(), lo.copy()
+        left[side], right[side] = middle, middle
+        self.node[i] = SPLIT + side
+        depth = self.depth[i] + 1
+        self.below[i] = (self.add(lo, left, depth), self.add(right, hi, depth))
+        return self.below[i]
+
+    def packed(self) -> str:
+        """The nodes, a box before its halves."""
+        nodes, todo = bytearray(), [0]
+        while todo:
+            i = todo.pop()
+            nodes.append(self.node[i])
+            if self.node[i] >= SPLIT:
+                todo += self.below[i][::-1]
+        return packed_tree(bytes(nodes))
+
+
+def cover(
+    step: Step,
+    Q: Vector,
+    root: Interval,
+    core: Interval,
+    level: float,
+    weights: Vector,
+    most: int,
+    least: float,
+) -> Cover:
+    """Boxes that prove {W < w₀} for the largest w₀ ≤ `level` that was found, −∞ where none was.
+
+    Parameters
+    ----------
+    root
+        The box of states and periods, (N + 1,).
+    core
+        A box (N,) with ∇²V ≻ 0.
+    weights
+        How fast Π changes with states and period, (N + 1,).
+    most
+        Boxes that may be looked at.
+    least
+        Levels below this one are of no use.
+    """
+    tree, done = _Tree(root), 0
+    heap: list[tuple[float, int]] = [(-np.inf, 0)]
+    limits = step.potential.design.loop.plant.u_limits
+    while heap and heap[0][0] <= level and level > least:
+        taken: list[int] = []
+        bounds: list[float] = []
+        while heap and len(taken) < _BATCH and heap[0][0] <= level:
+            bound, i = heapq.heappop(heap)
+            taken.append(i)
+            bounds.append(bound)
+        done += len(taken)
+        if done > most:
+            level = min(level, *bounds)
+            break
+        cells = Interval(
+            np.array([tree.lo[i] for i in taken]), np.array([tree.hi[i] for i in taken])
+        )
+        Z, s = cells[:, :-1], cells[:, -1]
+        lowest, loose = lower_bounds(step.potential, Q, Z)
+        lowest = np.maximum(lowest, bounds)
+        proved = np.zeros(len(taken), dtype=bool)
+        falls_on = np.ones(len(taken), dtype=bool)
+        reached = np.flatnonzero(lowest <= level)
+        if len(reached):
+            sample = step.over(Z[reached], s[reached])
+            falls = negative_definite(sample.form(Q)) & _within(sample.inputs, limits)
+            alone = _apart(sample.gradient) | _inside(Z[reached], core)
+            alone &= ~_at_a_side(Z[reached], root)
+            proved[reached], falls_on[reached] = falls & alone, falls
+        for k, i in enumerate(taken):
+            if lowest[k] > level or proved[k]:
+                tree.node[i] = BEYOND if lowest[k] > level else KEPT
+                continue
+            # where Π ≺ 0 it is W that is not known well enough
+            share = loose[k] if falls_on[k] else (tree.hi[i] - tree.lo[i]) * weights
+            side = int(np.argmax(share))
+            if tree.depth[i] >= _DEEPEST:
+                level = min(level, float(lowest[k]))
+                continue
+            for j in tree.split(i, side):
+                heapq.heappush(heap, (float(lowest[k]), j))
+    return Cover(level, tree.packed())
+
+
+def lower_bounds(potential: Potential, Q: Vector, Z: Interval) -> tuple[Vector, Vector]:
+    """Lower bounds of W over boxes (B, N), by its mean-value form, (B,); −∞: nothing is known.
+
+    Besides how much each side of a box adds to what the form does not know, (B, N).
+    """
+    with np.errstate(all="ignore"):
+        jet, middle = potential.jet(Z), potential.jet(point(Z.mid))
+        metric = point(Q[None])
+        value = middle.value + _square(metric, middle.grad) * 0.5
+        turned = matmul(metric, jet.grad[..., None])
+        slope = jet.grad + matmul(jet.hess, turned)[..., 0]
+        form = value + (slope * (Z - Z.mid)).sum()
+        plain = jet.value + _square(metric, jet.grad) * 0.5
+        best = np.fmax(form.lo, plain.lo)
+        width = Z.hi - Z.lo
+        loose = np.where(np.isfinite(slope.rad), slope.rad, 1.0) * width
+    return np.where(np.isnan(best), -np.inf, best), loose
+
+
+def _square(metric: Interval, g: Interval) -> Interval:
+    return (matmul(metric, g[..., None])[..., 0] * g).sum()
+
+
+def _within(u: Interval, limits: Sequence[Sequence[float]] | None) -> Truth:
+    """Whether u is within the limits, where there are any."""
+    if limits is None:
+        return np.ones(u.shape[0], dtype=bool)
+    lo, hi = np.array(limits, float).T
+    return np.asarray(((u.lo >= lo) & (u.hi <= hi)).all(-1))
+
+
+def _apart(gradient: Interval) -> Truth:
+    """Whether ∇V ≠ 0."""
+    return np.asarray(((gradient.lo > 0) | (gradient.hi < 0)).any(-1))
+
+
+def _inside(Z: Interval, core: Interval) -> Truth:
+    return np.asarray(((core.lo <= Z.lo) & (Z.hi <= core.hi)).all(-1))
+
+
+def _at_a_side(Z: Interval, root: Interval) -> Truth:
+    lo, hi = root.lo[:-1], root.hi[:-1]
+    return np.asarray(((lo >= Z.lo) | (Z.hi >= hi)).any(-1))

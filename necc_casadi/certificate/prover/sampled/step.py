@@ -1,0 +1,232 @@
+"""One sample of the loop over boxes: z⁺ − z = s Ñ ∇V for every s up to a period.
+
+ẋ = f(x, u) with u held, and ξ advanced over the same s with x held as it was measured:
+
+    x(s) − x = s (I + (s/2) A₁ + (s²/6) A₂A₃ + …) f,     Aᵢ in the hull of ∂f/∂x along the motion
+    ξ⁺ − ξ   = s (I + (s/2) (N S′)_ξξ) k₁                 of Heun's method, s k₁ of Euler's
+
+where (f, k₁) = N∇V, N = M − 𝒢𝒟𝒢ᵀ, and S′ is in the hull of ∇²V between ξ and its predictor.
+
+References
+----------
+docs/theory.md#sampled-loop.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import sympy as sp
+
+from necc_casadi.arrays import Vector
+from necc_casadi.cases import Integrator
+from necc_casadi.certificate.prover.arithmetic.affine import Affine, affine_matrices
+from necc_casadi.certificate.prover.arithmetic.boxes import matrix_enclosure
+from necc_casadi.certificate.prover.arithmetic.intervals import (
+    Interval,
+    matmul,
+)
+from necc_casadi.certificate.prover.arithmetic.jets import expression_values
+from necc_casadi.certificate.prover.arithmetic.networks import network_jet
+from necc_casadi.certificate.prover.arithmetic.potential import Potential
+
+__all__ = ["Sample", "Step"]
+
+
+#: Rounds in which a box that holds the motion of a sample is sought, and the room that is added.
+_ROUNDS, _ROOM = 6, 1.02
+
+
+@dataclass(frozen=True, eq=False)
+class Sample:
+    """One sample from boxes of states, for s in [s_lo, s_hi]; natural units."""
+
+    period: Affine  # s, (B, 1, 1)
+    step: Affine  # Ñ, (B, N, N)
+    mean: Affine  # S̄ = ∫∇²V(z + θΔz)dθ
+    weighted: Affine  # S̃ = 2∫(1 − θ)∇²V(z + θΔz)dθ
+    gradient: Interval  # ∇V at the start, (B, N)
+    inputs: Interval  # u, (B, m)
+
+    def form(self, Q: Vector) -> Affine:
+        """Π with W(z⁺) − W(z) = s ∇VᵀΠ∇V, W = V + ½∇VᵀQ∇V, (B, N, N)."""
+        metric = Affine(Q[None], np.zeros((1, 1, *Q.shape)), np.zeros((1, *Q.shape)))
+        turned = self.mean @ self.step  # ∇V(z⁺) − ∇V(z) = s S̄Ñ∇V
+        first = (self.step + metric @ turned).symmetric()
+        second = self.step.T @ (self.weighted @ self.step) + turned.T @ (metric @ turned)
+        return (first + second.scaled(self.period).times(0.5)).symmetric()
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """The sampled loop of a design in natural units, Φ the sum, nothing ahead of the loop."""
+
+    potential: Potential
+    integrator: Integrator
+
+    def over(self, Z: Interval, s: Interval) -> Sample:
+        """Samples from boxes (B, N) that last between the ends of s (B,)."""
+        with np.errstate(all="ignore"):
+            return self._over(Z, s)
+
+    def _over(self, Z: Interval, s: Interval) -> Sample:
+        gradient = self.potential.jet(Z).grad
+        N = matrix_enclosure(self._flow, self._symbols, Z)
+        rates = matmul(N, gradient[..., None])[..., 0]
+        u = self.inputs(Z, gradient)
+        n, upto = self._n, Interval(np.zeros_like(s.hi), s.hi)[:, None]
+        X = self._motion(Z[:, :n], u, upto)
+        bent, moved = self._advanced(Z, N, rates[:, n:], upto)
+        slopes = self._slopes_over(X, u)
+        reached = _side_by_side(X, moved)
+        S = self.potential.jet(reached).hess
+        blocks = [S, S, N, slopes] + ([] if bent is None else [bent])
+        made, count = affine_matrices(blocks, [True, True, False, False, False][: len(blocks)])
+        period = Affine(
+            s.mid[:, None, None],
+            np.zeros((len(s.lo), count + 1, 1, 1)),
+            np.zeros((len(s.lo), 1, 1)),
+        )
+        period.parts[:, count] = s.rad[:, None, None]
+        mean, weighted, flow, A, *curved = (_with_one_more(part) for part in made)
+        step = self._factor(period, A, slopes, curved[0] if curved else None, s.hi) @ flow
+        return Sample(period, step, mean, weighted, gradient, u)
+
+    def _factor(
+        self, period: Affine, A: Affine, slopes: Interval, curved: Affine | None, most: Vector
+    ) -> Affine:
+        """Diag(I + (s/2)A₁ + (s²/6)A₂A₃ + …, I + (s/2)(N S′)_ξξ), (B, N, N)."""
+        boxes, size, n = len(most), self.potential.design.loop.n, self._n
+        identity = _constant(np.broadcast_to(np.eye(size), (boxes, size, size)), period)
+        half = period.times(0.5)
+        result = identity + _placed(A, 0, size).scaled(half)
+        if curved is not None:
+            result = result + _placed(curved, n, size).scaled(half)
+        # A₂ and A₃ are apart from A₁ and from each other
+        alone = Affine(A.center, np.zeros_like(A.parts), slopes.rad)
+        second = (alone @ alone).scaled(period.scaled(period)).times(1 / 6)
+        size_A = slopes.magnitude.sum(-1).max(-1)
+        tail = (most * size_A) ** 3 / 24 * np.exp(most * size_A) * (1 + 1e-9)
+        rest = np.zeros((boxes, size, size))
+        rest[:, :n, :n] = tail[:, None, None]
+        return (result + _placed(second, 0, size)).widened(rest)
+
+    def inputs(self, Z: Interval, gradient: Interval) -> Interval:
+        """U = −A∇Hc − [D B]𝒢ᵀ∇V, (B, m)."""
+        design, loop = self.potential.design, self.potential.design.loop
+        weights = design.form.split(design.weights)[0]
+        xi = Z[:, self._n :]
+        ends, back = np.unique(np.concatenate([xi.lo, xi.hi], 1), axis=0, return_inverse=True)
+        nc = xi.shape[1]
+        slope = network_jet(design.form.hc, weights, Interval(ends[:, :nc], ends[:, nc:])).grad
+        slope = slope[back.ravel()]
+        A = matrix_enclosure(sp.Matrix(loop.feedback), self._symbols, Z)
+        ports = matrix_enclosure(sp.Matrix(loop.ports.T), self._symbols, Z)
+        damped = matmul(design.damping[: loop.plant.m], ports)
+        given = matmul(A, slope[..., None]) + matmul(damped, gradient[..., None])
+        return -given[..., 0]
+
+    def _motion(self, X: Interval, u: Interval, upto: Interval) -> Interval:
+        """A box that no motion from X leaves before s (Picard and Lindelöf); NaN: none found."""
+        held = X
+        for _ in range(_ROUNDS):
+            tried = X + upto * self._field_over(held, u)
+            inside = (tried.lo >= held.lo) & (tried.hi <= held.hi)
+            if inside.all():
+                break
+            known = inside.all(-1, keepdims=True)
+            middle, radius = tried.mid, tried.rad
+            room = radius * _ROOM
+            lo = np.minimum(np.minimum(tried.lo, X.lo), middle - room)
+            hi = np.maximum(np.maximum(tried.hi, X.hi), middle + room)
+            held = Interval(np.where(known, held.lo, lo), np.where(known, held.hi, hi))
+        tried = X + upto * self._field_over(held, u)
+        proved = ((tried.lo >= held.lo) & (tried.hi <= held.hi)).all(-1, keepdims=True)
+        return Interval(np.where(proved, tried.lo, np.nan), np.where(proved, tried.hi, np.nan))
+
+    def _advanced(
+        self, Z: Interval, N: Interval, rate: Interval, upto: Interval
+    ) -> tuple[Interval | None, Interval]:
+        """((N S′)_ξξ, where ξ is on the way); None of Euler's method."""
+        n = self._n
+        X, xi = Z[:, :n], Z[:, n:]
+        predicted = xi + upto * rate
+        if self.integrator == "euler":
+            return None, predicted
+        S = self.potential.jet(_side_by_side(X, predicted)).hess
+        bent = matmul(N[:, n:], S[:, :, n:])
+        curved = matmul(bent, rate[..., None])[..., 0]
+        return bent, xi + upto * (rate + upto * curved * 0.5)
+
+    def _field_over(self, X: Interval, u: Interval) -> Interval:
+        """F(x, u), (B, n)."""
+        return self._values(self._field, X, u)
+
+    def _slopes_over(self, X: Interval, u: Interval) -> Interval:
+        """∂f/∂x, (B, n, n)."""
+        return self._values(self._slopes, X, u).reshape(-1, self._n, self._n)
+
+    def _values(self, entries: tuple[sp.Expr, ...], X: Interval, u: Interval) -> Interval:
+        known = {s: X[:, i] for i, s in enumerate(self._symbols[: self._n])}
+        known |= {s: u[:, i] for i, s in enumerate(self._given)}
+        values = [v + np.zeros(len(X.lo)) for v in expression_values(list(entries), known)]
+        lo, hi = ([getattr(v, end) for v in values] for end in ("lo", "hi"))
+        return Interval(np.stack(lo, -1), np.stack(hi, -1))
+
+    @property
+    def _n(self) -> int:
+        return self.potential.design.loop.plant.n
+
+    @cached_property
+    def _symbols(self) -> list[sp.Symbol]:
+        return list(self.potential.design.loop.z)
+
+    @cached_property
+    def _given(self) -> list[sp.Dummy]:
+        return [sp.Dummy("u", real=True) for _ in range(self.potential.design.loop.plant.m)]
+
+    @cached_property
+    def _field(self) -> tuple[sp.Expr, ...]:
+        plant = self.potential.design.loop.plant
+        return tuple(sp.Matrix(plant.flow) + sp.Matrix(plant.G) * sp.Matrix(self._given))
+
+    @cached_property
+    def _slopes(self) -> tuple[sp.Expr, ...]:
+        return tuple(sp.Matrix(self._field).jacobian(self._symbols[: self._n]))
+
+    @cached_property
+    def _flow(self) -> sp.Matrix:
+        """N = M − 𝒢𝒟𝒢ᵀ, exactly."""
+        design = self.potential.design
+        rows = [[sp.Rational(*float(v).as_integer_ratio()) for v in row] for row in design.damping]
+        ports = sp.Matrix(design.loop.ports)
+        return sp.Matrix(design.loop.M) - ports * sp.Matrix(rows) * ports.T
+
+
+def _side_by_side(a: Interval, b: Interval) -> Interval:
+    return Interval(np.concatenate([a.lo, b.lo], 1), np.concatenate([a.hi, b.hi], 1))
+
+
+def _with_one_more(A: Affine) -> Affine:
+    """The same with room for one more number."""
+    boxes, _, rows, columns = A.parts.shape
+    parts = np.concatenate([A.parts, np.zeros((boxes, 1, rows, columns))], 1)
+    return Affine(A.center, parts, A.error)
+
+
+def _constant(matrix: Vector, like: Affine) -> Affine:
+    boxes, count = like.parts.shape[:2]
+    parts = np.zeros((boxes, count, *matrix.shape[1:]))
+    return Affine(np.array(matrix), parts, np.zeros(matrix.shape))
+
+
+def _placed(A: Affine, at: int, size: int) -> Affine:
+    """A block on the diagonal of matrices (B, size, size) that are 0 elsewhere."""
+    boxes, count, rows, _ = A.parts.shape
+    center, error = np.zeros((boxes, size, size)), np.zeros((boxes, size, size))
+    parts, block = np.zeros((boxes, count, size, size)), slice(at, at + rows)
+    center[:, block, block], error[:, block, block] = A.center, A.error
+    parts[:, :, block, block] = A.parts
+    return Affine(center, parts, error)

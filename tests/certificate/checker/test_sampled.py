@@ -1,0 +1,113 @@
+"""The checker on the claim about the sampled loop: held as it is, and forged."""
+
+import json
+from dataclasses import replace
+
+import pytest
+
+from necc_casadi.certificate.checker.check import check
+from necc_casadi.certificate.claims import statements
+from necc_casadi.certificate.claims.certificate import Certificate
+from necc_casadi.certificate.claims.sampled import BEYOND, KEPT, SampledRegion, packed_tree
+from necc_casadi.certificate.prover.certify import certify, with_sampled_loop
+from necc_casadi.certificate.prover.sampled import prove
+from necc_casadi.errors import OutputError
+
+#: A small part of Ω and short periods: few boxes.
+T = 0.01
+
+
+@pytest.fixture(scope="module")
+def folder(default_design, tmp_path_factory):
+    made = tmp_path_factory.mktemp("sampled")
+    default_design.save(made / "design.json")
+    certificate = certify(default_design)
+    part = replace(certificate, level_above_minimum=certificate.level_above_minimum / 5)
+    heights = {"level_above_minimum": certificate.level_above_minimum}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(prove, "_TRIALS", 0)
+        found = with_sampled_loop(default_design, part, T, "heun")
+    certificate = replace(found, **heights)
+    (made / "certificate.json").write_text(certificate.to_json(), encoding="utf-8")
+    return made
+
+
+def of(folder, name="sampled"):
+    return {result.name: result for result in check(folder)}[name]
+
+
+def forged(folder, tmp_path, **changes):
+    """The verdict on the claim with entries changed, and worded as they say."""
+    certificate = Certificate.from_json((folder / "certificate.json").read_text("utf-8"))
+    data = json.loads(certificate.to_json())
+    (claim,) = [c for c in data["claims"] if c["name"] == "sampled"]
+    claim["data"] |= changes
+    region = SampledRegion.read(claim["data"])
+    states = ("q", "p", "xi1")
+    claim["statement"] = statements.sampled(region, states, certificate.units, ())
+    (tmp_path / "certificate.json").write_text(json.dumps(data), encoding="utf-8")
+    (tmp_path / "design.json").write_bytes((folder / "design.json").read_bytes())
+    return of(tmp_path)
+
+
+def region_of(folder):
+    return Certificate.from_json((folder / "certificate.json").read_text("utf-8")).sampled
+
+
+def test_the_claim_is_proved_again(folder):
+    results = check(folder)
+    assert all(result.holds for result in results if result.name != "code")
+    assert of(folder).statement.startswith("for every sequence of sampling periods in (0, 0.01] s")
+
+
+def test_longer_periods_are_not_proved(folder, tmp_path):
+    assert not forged(folder, tmp_path, period=100 * T).holds
+
+
+def test_a_higher_level_is_not_proved(folder, tmp_path):
+    region = region_of(folder)
+    raised = region.height * 1.3
+    verdict = forged(folder, tmp_path, level=region.level + 0.3 * region.height, height=raised)
+    assert not verdict.holds
+
+
+def test_a_height_beyond_the_level_is_not_proved(folder, tmp_path):
+    verdict = forged(folder, tmp_path, height=region_of(folder).height * 1.001)
+    assert verdict.statement.endswith("not proved: the height above V(z̄)")
+
+
+@pytest.mark.parametrize("sign", [-1.0, 5.0])
+def test_another_metric_is_not_proved(folder, tmp_path, sign):
+    metric = [[sign * q for q in row] for row in region_of(folder).metric]
+    assert not forged(folder, tmp_path, metric=metric).holds
+
+
+def test_the_core_must_hold_the_minimum(folder, tmp_path):
+    core = [[lo + 10 * (hi - lo), hi + 10 * (hi - lo)] for lo, hi in region_of(folder).core]
+    verdict = forged(folder, tmp_path, core=core)
+    assert verdict.statement.endswith("not proved: V has one minimum in the core")
+
+
+def test_boxes_that_touch_a_side_must_be_beyond_the_level(folder, tmp_path):
+    """A box that is inside of Ω."""
+    box = [
+        [(lo + c) / 2, (hi + c) / 2]
+        for (lo, hi), (a, b) in zip(region_of(folder).box, region_of(folder).core, strict=True)
+        for c in [(a + b) / 2]
+    ]
+    core = [[c - 0.01, c + 0.01] for c in ((a + b) / 2 for a, b in region_of(folder).core)]
+    assert not forged(folder, tmp_path, box=box, core=core).holds
+
+
+def test_boxes_said_to_be_beyond_the_level_are_looked_at(folder, tmp_path):
+    region = region_of(folder)
+    nodes = bytes(BEYOND if node == KEPT else node for node in region.nodes)
+    assert not forged(folder, tmp_path, tree=packed_tree(nodes)).holds
+
+
+def test_a_tree_that_does_not_end_is_unreadable(folder, tmp_path):
+    """What the checker cannot read at all it refuses as a file."""
+    nodes = region_of(folder).nodes
+    for broken in (nodes[:-1], nodes + b"\x00", bytes([200]), b"\x02" * 50):
+        with pytest.raises(OutputError):
+            forged(folder, tmp_path, tree=packed_tree(broken))

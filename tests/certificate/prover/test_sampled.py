@@ -1,0 +1,187 @@
+"""The sampled loop: Π against what a step does, and {W < w₀} against responses."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from helpers.sampled import sampled_step
+from hypothesis import given
+from hypothesis import strategies as st
+
+from necc_casadi.certificate.claims.sampled import walk
+from necc_casadi.certificate.prover.arithmetic.affine import affine_matrices, negative_definite
+from necc_casadi.certificate.prover.arithmetic.intervals import Interval
+from necc_casadi.certificate.prover.arithmetic.potential import Potential
+from necc_casadi.certificate.prover.certify import certify, with_sampled_loop
+from necc_casadi.certificate.prover.sampled import prove
+from necc_casadi.certificate.prover.sampled.step import Step
+
+T = 0.04
+
+
+@pytest.fixture(scope="module")
+def certified(default_design):
+    """Of the part of Ω up to a third of its height, and no longer periods: fewer boxes."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(prove, "_TRIALS", 0)
+        return part_of(default_design, certify(default_design), 1 / 3)
+
+
+def part_of(design, certificate, share, sample_time=T):
+    """With what is proved of the sampled loop up to a share of the height of Ω."""
+    part = replace(certificate, level_above_minimum=share * certificate.level_above_minimum)
+    return with_sampled_loop(design, part, sample_time, "heun")
+
+
+def W(design, Q, z):
+    g = design.lyapunov.gradient(z)
+    return design.lyapunov.V(z) + np.einsum("bi,ij,bj->b", g, Q, g) / 2
+
+
+def drawn(A, rng):
+    """A member of each matrix in affine form, all by the same numbers."""
+    e = rng.uniform(-1, 1, (len(A.center), A.parts.shape[1]))
+    return e, lambda B: B.center + np.einsum("bk,bkij->bij", e, B.parts)
+
+
+@given(st.integers(0, 10_000))
+def test_products_of_affine_matrices_hold_their_members(seed):
+    rng = np.random.default_rng(seed)
+    boxes = []
+    for symmetric in (True, False):
+        middle, radius = rng.normal(size=(4, 3, 3)), rng.uniform(0, 0.5, (4, 3, 3))
+        if symmetric:
+            middle, radius = (v + v.transpose(0, 2, 1) for v in (middle, radius))
+        boxes.append(Interval(middle - radius, middle + radius))
+    (A, B), count = affine_matrices(boxes, [True, False])
+    assert count == 6 + 9
+    _, member = drawn(A, rng)
+    a, b = member(A), member(B)
+    for made, exact in (
+        (A @ B, a @ b),
+        (A + B.T, a + b.transpose(0, 2, 1)),
+        (A @ B @ A, a @ b @ a),
+        ((A @ B).symmetric(), (a @ b + (a @ b).transpose(0, 2, 1)) / 2),
+    ):
+        assert (np.abs(member(made) - exact) <= made.error).all()
+    lowest = np.linalg.eigvalsh((a + a.transpose(0, 2, 1)) / 2)[:, -1]
+    assert not (negative_definite(A) & (lowest >= 0)).any()
+
+
+def test_a_definite_matrix_is_found_definite():
+    """−I ± 0.3 in each entry is; −I ± 0.4 may be singular, in (1, 1, 1)."""
+    for radius, proved in ((0.3, True), (0.4, False)):
+        box = Interval(-np.eye(3)[None] - radius, -np.eye(3)[None] + radius)
+        (A,), _ = affine_matrices([box], [True])
+        assert bool(negative_definite(A)[0]) is proved
+
+
+@pytest.mark.parametrize("integrator", ["euler", "heun"])
+@pytest.mark.parametrize("width", [0.0, 0.2])
+def test_the_form_says_what_a_step_does_to_w(any_design, integrator, width):
+    """W(z⁺) − W(z) = s ∇VᵀΠ∇V, by simulation of plant and controller."""
+    design = any_design.natural
+    if design.form.phi is not None or design.loop.plant.preliminary is not None:
+        pytest.skip("not covered")
+    rng, count = np.random.default_rng(3), 12
+    z = design.z_bar + rng.uniform(-0.5, 0.5, (count, design.loop.n))
+    s = rng.uniform(0, 0.1, count)
+    Q = rng.normal(size=(design.loop.n,) * 2) * 0.2
+    Q = Q + Q.T
+    shift = rng.uniform(-0.5, 0.5, z.shape) * width
+    Z = Interval(z + shift - width / 2, z + shift + width / 2)
+    apart = rng.uniform(0, 1, count) * 0.02 * (width > 0)
+    period = Interval(np.maximum(s - apart, 0.0), s + 0.02 * (width > 0) - apart)
+    sample = Step(Potential(design), integrator).over(Z, period)
+    form = sample.form(Q)
+    g = design.lyapunov.gradient(z)
+    after = sampled_step(design, z, s, integrator)
+    change = W(design, Q, after) - W(design, Q, z)
+    said = s * np.einsum("bi,bij,bj->b", g, form.center, g)
+    parts = np.abs(np.einsum("bi,bkij,bj->bk", g, form.parts, g)).sum(1)
+    slack = s * (parts + np.einsum("bi,bij,bj->b", np.abs(g), form.error, np.abs(g)))
+    assert (np.abs(change - said) <= slack + 1e-12).all()
+    if width == 0.0:  # and the enclosure is worth something
+        assert np.median(slack) < 0.3 * np.median(np.abs(change))
+
+
+def test_the_sampled_loop_is_proved(certified, default_design):
+    region, units = certified.sampled, default_design.units
+    assert region.period * units.time == T
+    assert region.height == pytest.approx(certified.level_above_minimum / units.energy, rel=1e-5)
+
+
+@pytest.mark.slow
+def test_all_of_the_height_of_the_region_is_proved(default_design):
+    """W is V at the saddle that ends both regions; and for longer periods than were asked for."""
+    certificate = certify(default_design, sample_time=0.02)
+    height = certificate.level_above_minimum / default_design.units.energy
+    assert certificate.sampled.height > 0.99 * height
+    assert certificate.sampled.period * default_design.units.time > 0.05
+
+
+def test_the_boxes_fill_the_whole(certified):
+    region = certified.sampled
+    total = sum(
+        np.prod([hi - lo for lo, hi in cell]) for cell, _ in walk(region.root, region.nodes)
+    )
+    assert total == pytest.approx(np.prod([hi - lo for lo, hi in region.root]), rel=1e-12)
+
+
+def starts(design, region, count, seed=0):
+    """States of {W < w₀} in the box, natural units."""
+    rng, Q = np.random.default_rng(seed), np.array(region.metric)
+    lo, hi = np.array(region.box).T
+    found = np.empty((0, len(lo)))
+    while len(found) < count:
+        z = rng.uniform(lo, hi, (4 * count, len(lo)))
+        found = np.vstack([found, z[W(design, Q, z) < region.level]])
+    return found[:count]
+
+
+def test_w_falls_at_every_step_whatever_the_periods(certified, default_design):
+    design, region = default_design.natural, certified.sampled
+    z, Q = starts(design, region, 200), np.array(region.metric)
+    rng = np.random.default_rng(1)
+    lo, hi = np.array(region.box).T
+    before = W(design, Q, z)
+    for _ in range(60):
+        s = region.period * rng.uniform(0, 1, len(z)) ** rng.choice([0.2, 1, 4])
+        z = sampled_step(design, z, s)
+        after = W(design, Q, z)
+        assert (after <= before + 1e-12).all()
+        assert ((z > lo) & (z < hi)).all()
+        before = after
+
+
+@pytest.mark.slow
+def test_responses_from_the_region_converge(certified, default_design):
+    design, region = default_design.natural, certified.sampled
+    z, rng = starts(design, region, 50), np.random.default_rng(2)
+    for _ in range(1500):
+        z = sampled_step(design, z, region.period * rng.uniform(0, 1, len(z)))
+    assert np.linalg.norm(z - design.z_bar, axis=1).max() < 1e-3
+
+
+def test_nothing_is_proved_of_periods_beyond_the_stable_ones(default_design):
+    found = certify(default_design, sample_time=50.0)
+    (claim,) = [c for c in found.claims if c.name == "sampled"]
+    assert not claim.holds
+    assert found.sampled is None
+
+
+def test_what_is_not_covered_is_said(default_design, designs):
+    neural = certify(designs["neural"], region=False, sample_time=0.01)
+    rk4 = certify(default_design, region=False, sample_time=0.01, integrator="rk4")
+    for found, why in ((neural, "Φ = H + Hc + C"), (rk4, "Heun")):
+        (claim,) = [c for c in found.claims if c.name == "sampled"]
+        assert not claim.holds
+        assert why in claim.statement
+
+
+def test_a_design_that_does_not_decrease_has_no_sampled_claim(default_design):
+    broken = replace(default_design, damping=-default_design.damping)
+    (claim,) = [
+        c for c in certify(broken, region=False, sample_time=0.01).claims if c.name == "sampled"
+    ]
+    assert not claim.holds
