@@ -35,6 +35,10 @@ _NOTHING_DECAYS = 30.0
 _MOST_PERIODS = 1000
 
 
+#: Output times in a period of the fastest oscillation; of a response, at least and at most.
+_IN_A_PERIOD, _FEWEST, _MOST = 16, 500, 4000
+
+
 #: Error that a step allows, in natural units.
 _RELATIVE, _ABSOLUTE = 1e-9, 1e-11
 
@@ -144,7 +148,7 @@ def simulate(
     xi0: npt.ArrayLike | None = None,
     *,
     time: float | None = None,
-    points: int = 501,
+    points: int | None = None,
     patience: float = np.inf,
 ) -> Trajectory:
     """Integrate the damped closed loop from (x0, ξ0), u within the limits of the model.
@@ -160,7 +164,7 @@ def simulate(
     time
         Horizon, s; by default long enough for the slowest mode.
     points
-        Number of output times.
+        Number of output times; by default 501, or as many as show the fastest oscillation.
     patience
         Seconds of computing after which the response is cut; some stiff loops take very long.
 
@@ -189,6 +193,7 @@ def simulate(
     xi = design.xi_at_start(x0) if xi0 is None else np.asarray(xi0, float)
     z0 = np.concatenate([np.asarray(x0, float), xi]) / units.state
     horizon = default_horizon(design) if time is None else float(time)
+    points = _enough_points(design, horizon) if points is None else points
     grid = np.linspace(0.0, horizon, points)
     states, cut = _integrated(natural, z0, grid / units.time, patience)
     n, count = V.terms.n, len(states)
@@ -205,6 +210,12 @@ def simulate(
         cut=cut,
         demand=demand,
     )
+
+
+def _enough_points(design: Design, horizon: float) -> int:
+    """Output times between which the fastest oscillation does not turn."""
+    periods = horizon * float(np.abs(design.spectrum.imag).max()) / (2 * np.pi)
+    return int(np.clip(_IN_A_PERIOD * periods, _FEWEST, _MOST)) + 1
 
 
 def _integrated(design: Design, z0: Vector, grid: Vector, patience: float) -> tuple[Vector, bool]:
