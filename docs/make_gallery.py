@@ -21,17 +21,13 @@ from necc_casadi.model.model_file import load_model
 from necc_casadi.model.modulated import Modulated, System
 from necc_casadi.pipeline.request import Request
 from necc_casadi.pipeline.run import run_design
-from necc_casadi.report.figures import (
-    region_boundary,
-    region_figure,
-    responses_figure,
-)
+from necc_casadi.report.figures import region_figure, responses_figure
 from necc_casadi.report.findings import Findings, attracts, global_claim, region_claim
+from necc_casadi.report.gallery import from_the_boundary
 from necc_casadi.report.landscape_figure import landscape_figure
 from necc_casadi.report.methods import method_rows
 from necc_casadi.report.style import write_figure
 from necc_casadi.report.to_text import percent
-from necc_casadi.simulation.responses import response_from
 from necc_casadi.synthesis.options import Options
 from necc_casadi.verdict.verdict import Verdict
 
@@ -225,12 +221,12 @@ def outcome(run: Run) -> str:
     level = found.certificate.level
     if level is not None:
         rows.append(reach(found) + "\n")
-        starts = region_boundary(found.design, level, found.certificate.reach)
         pictures["proved region"] = region_figure(
             found.design,
             level,
-            [response_from(found.design, x0, found.design.xi_star) for x0 in starts],
+            from_the_boundary(found.design, found.certificate),
             found.certificate.reach,
+            found.certificate.obstacle,
         )
     landscape = landscape_figure(found.design, found.certificate)
     if landscape is not None:

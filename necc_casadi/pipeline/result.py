@@ -263,11 +263,12 @@ class Result:
         level = certificate.level
         if level is None:
             raise _nothing("region")
-        inside = from_the_boundary(made, certificate)
+        shown = (made, level, from_the_boundary(made, certificate))
+        ends = (certificate.reach, certificate.obstacle)
         return _single(
             ax,
-            lambda axis: figures.draw_region(axis, made, level, inside, certificate.reach),
-            lambda: figures.region_figure(made, level, inside, certificate.reach),
+            lambda axis: figures.draw_region(axis, *shown, *ends),
+            lambda: figures.region_figure(*shown, *ends),
         )
 
     def plot_landscape(self, ax: Axes | None = None) -> Figure | None:

@@ -14,9 +14,10 @@ from necc_casadi.designs.design import Design
 from necc_casadi.model.sizes import input_names
 from necc_casadi.performance.margins import Sweep
 from necc_casadi.performance.measure import Curve, Loop, Performance
-from necc_casadi.report.figures import draw_limits, named_input, named_state
+from necc_casadi.report.figures import coarse_enough, draw_limits, named_input, named_state
 from necc_casadi.report.style import Drawing
 from necc_casadi.report.ticks import engineering, finished, logarithmic
+from necc_casadi.report.time_axis import until_rest
 
 __all__ = [
     "draw_gain",
@@ -80,22 +81,25 @@ def draw_step(axis: Axes, design: Design, found: Performance, name: str) -> None
     states, n = design.loop.plant.states, design.loop.plant.n
     if name in states:
         k = states.index(name)
-        _panel(axis, [(c, c.x[:, k]) for c in found.step], float(design.z_star[k]))
+        size = float(design.sizes.state[k])
+        _panel(axis, [(c, c.x[:, k]) for c in found.step], float(design.z_star[k]), size)
         label = named_state(design, k)
     else:
         k = input_names(design.loop.plant.m).index(name)
         held = design.lyapunov.control_law(design.z_star[:n], design.xi_star)[0]
-        _panel(axis, [(c, c.u[:, k]) for c in found.step], float(held[k]))
+        size = float(design.sizes.input[k])
+        _panel(axis, [(c, c.u[:, k]) for c in found.step], float(held[k]), size)
         draw_limits(axis, design, k)
         label = named_input(design, k)
     finished(axis, [("x", "time", "s"), ("y", *label)])
 
 
-def _panel(axis: Axes, curves: Sequence[tuple[Curve, Vector]], target: float) -> None:
+def _panel(axis: Axes, curves: Sequence[tuple[Curve, Vector]], target: float, size: float) -> None:
     for curve, values in curves:
         axis.plot(curve.t, values, label=curve.name, **_STYLE[curve.name])
     axis.axhline(target, color="0.5", lw=0.8)
-    axis.set_xlim(0, _settled([curve for curve, _ in curves]))
+    least, common = coarse_enough(axis, target, size), _settled([curve for curve, _ in curves])
+    axis.set_xlim(0, until_rest([(curve.t, values) for curve, values in curves], common, least))
     axis.grid(alpha=0.25)
 
 

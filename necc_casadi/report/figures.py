@@ -9,11 +9,13 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.path import Path as Curve
 
 from necc_casadi.arrays import Vector
-from necc_casadi.certificate.claims.regions import Side
+from necc_casadi.certificate.claims.regions import Obstacle, Side
 from necc_casadi.designs.design import Design
 from necc_casadi.model.sizes import input_names
+from necc_casadi.report.contours import contour_levels, number_contours, without_poles
 from necc_casadi.report.slices import Window, domain_window, shadow, slice_boundary, slice_values
 from necc_casadi.report.style import Drawing
 from necc_casadi.report.sweep_point import SweepPoint
@@ -21,14 +23,15 @@ from necc_casadi.report.ticks import (
     engineering,
     finished,
     logarithmic,
+    no_finer,
     panels,
-    power_of,
-    rounded,
     scaled_label,
 )
+from necc_casadi.report.time_axis import until_rest
 from necc_casadi.simulation.responses import Trajectory
 
 __all__ = [
+    "coarse_enough",
     "draw_contours",
     "draw_distances",
     "draw_limits",
@@ -55,12 +58,22 @@ _MOST_PANELS = 10
 #: Least and greatest value of each state on Ω; None: every value.
 Reach = Mapping[str, Side | None]
 
-#: Multiples of the median of |V − V(z̄)| beyond which a pole of the model is at work.
-_POLE = 50.0
+#: Room around the reach of Ω, as a share of it; and widths of the domain that are shown beside it
+#: where Ω goes on.
+_BESIDE, _FAR = 0.15, 1.0
 
 
-#: Room around the reach of Ω, as a share of it.
-_BESIDE = 0.15
+#: A state or input that moves less than this share of its size does not: what is left is the
+#: integrator's error. Then so much of its size is shown.
+_STILL, _STILL_SHOWN = 1e-6, 0.1
+
+
+#: Room after the slowest response has settled, as a share of that time.
+_AFTER = 0.25
+
+
+#: An obstacle lies over Ω's shadow, not beside it, where it is nearer to z̄ than this share of it.
+_WITHIN = 0.95
 
 
 #: V − V(z̄) below this, in natural units, is rounding.
@@ -87,7 +100,7 @@ def lyapunov_figure(design: Design) -> Figure:
     figure.suptitle(f"{design.loop.plant.name}: Lyapunov function at ξ = ξ*")
     surface = figure.add_subplot(1, 2, 1, projection="3d")
     surface.set_position((0.0, 0.03, 0.46, 0.9))
-    shown = _without_poles(values)
+    shown = without_poles(values)
     surface.plot_surface(
         A, B, shown, cmap="viridis", linewidth=0, alpha=0.9, rcount=40, ccount=40, rasterized=True
     )
@@ -98,7 +111,7 @@ def lyapunov_figure(design: Design) -> Figure:
     surface.yaxis.labelpad = surface.zaxis.labelpad = 8
     surface.view_init(elev=28, azim=-60)
 
-    flat = figure.add_axes((0.56, 0.21, 0.42, 0.65))
+    flat = figure.add_axes((0.58, 0.21, 0.40, 0.65))
     draw_contours(flat, design)
     figure.legend(*flat.get_legend_handles_labels(), loc="lower right", ncols=2, fontsize=8)
     return figure
@@ -108,26 +121,13 @@ def draw_contours(axis: Axes, design: Design) -> None:
     """Contours of V − V(z̄) over two coordinates through ξ*, with both minima."""
     window = domain_window(design)
     A, B, values = slice_values(design, window)
-    shown = _without_poles(values)
-    levels = _levels(values)
-    lines = axis.contour(A, B, shown, levels=levels, cmap="viridis")
-    power = power_of(float(levels[-1]))
-    if np.isfinite(shown).all():  # beside a pole, numbers would stand on one another
-        closed = [  # others end at the border, where numbers would be cut off
-            level
-            for level, curves in zip(levels.tolist(), lines.allsegs, strict=True)
-            if curves and all(len(c) > 2 and np.array_equal(c[0], c[-1]) for c in curves)
-        ]
-        labels = axis.clabel(
-            lines,
-            levels=closed[-1:1:-2][::-1],
-            fontsize=7,
-            fmt=lambda v: rounded(v / 10.0**power, 2),
-        )
-        for label in labels:
-            label.set_bbox({"facecolor": "white", "edgecolor": "none", "pad": 0.5})
-    axis.set_title(scaled_label("contours of V − V(z̄)", "", power), fontsize=10)
+    lines = axis.contour(A, B, without_poles(values), levels=contour_levels(values), cmap="viridis")
     _mark_minima(design, axis, *window.pair)
+    axis.set_xlim(window.lo[0], window.hi[0])
+    axis.set_ylim(window.lo[1], window.hi[1])
+    marks = np.array([design.z_star, design.z_bar])[:, window.pair]
+    power = number_contours(axis, lines, marks)
+    axis.set_title(scaled_label("contours of V − V(z̄)", "", power), fontsize=10)
 
 
 def _mark_minima(design: Design, axis: Axes, i: int, j: int) -> None:
@@ -159,14 +159,15 @@ def region_boundary(
 @lru_cache(maxsize=4)
 def _window(design: Design, level: float, sides: tuple[Side, Side] | None) -> tuple[Window, Vector]:
     """A window around Ω, and Ω's shadow in it."""
-    window = domain_window(design)
+    domain = domain_window(design)
     if sides is None:
-        edge = shadow(design, level, window)
-        return window.around(edge), edge
+        edge = shadow(design, level, domain)
+        return domain.around(edge), edge
     lo, hi = np.array(sides).T
-    edge = shadow(design, level, Window(window.pair, lo, hi))  # Ω is proved to stay in these
-    room = _BESIDE * (hi - lo)
-    return Window(window.pair, lo - room, hi + room).around(edge), edge
+    edge = shadow(design, level, Window(domain.pair, lo, hi))  # Ω is proved to stay in these
+    room, beside = _BESIDE * (hi - lo), _FAR * (domain.hi - domain.lo)
+    whole = Window(domain.pair, lo - room, hi + room).around(edge)
+    return whole.within(domain.lo - beside, domain.hi + beside), edge
 
 
 def _telling_sides(design: Design, reach: Reach | None) -> tuple[Side, Side] | None:
@@ -183,6 +184,7 @@ def region_figure(
     level: float,
     responses: Sequence[Trajectory],
     reach: Reach | None = None,
+    obstacle: Obstacle | None = None,
 ) -> Figure:
     """The proved region over V's contours: its slice at z*, its shadow, responses from the slice.
 
@@ -190,10 +192,16 @@ def region_figure(
     """
     figure = panels(1, 1, (5.45, 4.1), legend=0.85)
     axis = figure.add_subplot()
-    draw_region(axis, design, level, responses, reach)
+    draw_region(axis, design, level, responses, reach, obstacle)
     figure.legend(loc="lower center", ncols=2, fontsize=8)
+    domain = domain_window(design)
+    window, edge = _window(design, level, _telling_sides(design, reach))
+    low, high = edge.min(axis=0), edge.max(axis=0)
+    goes_on = (low < window.lo).any() or (high > window.hi).any()
     title = f"{design.loop.plant.name}: proved region Ω"
-    axis.set_title(f"{title}\ndomain: {_extent(design)}", fontsize=9)  # Ω may be a small part
+    title += f", {_extent(design, low, high)}" if goes_on else ""
+    shown = _extent(design, domain.lo, domain.hi)  # Ω may be a small part
+    axis.set_title(f"{title}\ndomain: {shown}", fontsize=8 if goes_on else 9)
     return figure
 
 
@@ -203,12 +211,13 @@ def draw_region(
     level: float,
     responses: Sequence[Trajectory] = (),
     reach: Reach | None = None,
+    obstacle: Obstacle | None = None,
 ) -> None:
     """The proved region over V's contours on any axes; see :func:`region_figure`."""
     window, edge = _window(design, level, _telling_sides(design, reach))
     i, j = window.pair
     A, B, values = slice_values(design, window)
-    shown, levels = _without_poles(values), _levels(values)
+    shown, levels = without_poles(values), contour_levels(values)
     axis.contour(A, B, shown, levels=levels, cmap="viridis", linewidths=0.7, alpha=0.6)
     axis.fill(*edge.T, color=_MINIMUM, alpha=0.10, label="Ω seen over all other states (computed)")
     axis.plot(*np.vstack([edge, edge[:1]]).T, "--", color=_MINIMUM, lw=1)
@@ -217,15 +226,32 @@ def draw_region(
         axis.fill(*curve.T, color=_MINIMUM, alpha=0.15)
         top = level - design.V(design.z_bar)
         proved = f"proved: V − V(z̄) ≤ {engineering(top)}, other states at z*"
-        axis.plot(*curve.T, color=_MINIMUM, lw=2, label=proved)
+        outline = np.where(window.on_border(curve)[:, None], np.nan, curve)  # there Ω goes on
+        axis.plot(*outline.T, color=_MINIMUM, lw=2, label=proved)
+    began = "that boundary" if curve is None or not window.on_border(curve).any() else "its edge"
     for index, response in enumerate(responses):
-        label = f"simulated from that boundary{_leaving(responses)}" if index == 0 else None
+        label = f"simulated from {began}{_leaving(responses)}" if index == 0 else None
         axis.plot(*response.z[:, [i, j]].T, lw=0.8, color=_INK, alpha=0.8, label=label)
         axis.plot(*response.z[0, [i, j]], ".", color=_INK)
+    _mark_obstacle(axis, design, obstacle, window, edge)
     _mark_minima(design, axis, i, j)
     axis.set_xlim(window.lo[0], window.hi[0])
     axis.set_ylim(window.lo[1], window.hi[1])
     finished(axis, [("x", *named_state(design, i)), ("y", *named_state(design, j))])
+
+
+def _mark_obstacle(
+    axis: Axes, design: Design, obstacle: Obstacle | None, window: Window, edge: Vector
+) -> None:
+    """What ends Ω, where it is in sight and beside the shadow: another state's bound is not."""
+    if obstacle is None or not obstacle.at:
+        return
+    place = np.array([obstacle.at[design.loop.states[k]] for k in window.pair])
+    middle = design.z_bar[list(window.pair)]
+    within = Curve(middle + _WITHIN * (edge - middle)).contains_point((place[0], place[1]))
+    if not within and (place >= window.lo).all() and (place <= window.hi).all():
+        kind = obstacle.kind.replace("_", " ")
+        axis.plot(*place, "s", ms=6, color=_TARGET, label=f"ends Ω: {kind}")
 
 
 def _leaving(responses: Sequence[Trajectory]) -> str:
@@ -236,33 +262,13 @@ def _leaving(responses: Sequence[Trajectory]) -> str:
     return ":\nthey leave the slice as ξ moves, never Ω"
 
 
-def _extent(design: Design) -> str:
-    """The domain in words, for the two states that are shown."""
-    whole, units = domain_window(design), design.loop.plant.units
+def _extent(design: Design, low: Vector, high: Vector) -> str:
+    """A rectangle in words, for the two states that are shown."""
     texts = []
-    for k, lo, hi in zip(whole.pair, whole.lo, whole.hi, strict=True):
-        name = design.loop.states[k]
-        unit = units.get(name, "")
+    for k, lo, hi in zip(domain_window(design).pair, low, high, strict=True):
+        name, unit = named_state(design, k)
         texts.append(f"{name} from {engineering(lo, unit)} to {engineering(hi, unit)}")
     return ", ".join(texts)
-
-
-def _levels(values: Vector) -> Vector:
-    """Contour levels that are dense near the minimum; V may be undefined in places."""
-    defined = _without_poles(values)
-    defined = defined[np.isfinite(defined)]
-    top = float(np.quantile(defined, 0.98)) if defined.size else 0.0
-    floor = float(np.min(defined, initial=0.0))
-    height = top - floor if top > floor else 1.0  # where V is flat nothing is drawn
-    return floor + height * np.linspace(0.03, 1.0, 13) ** 2
-
-
-def _without_poles(values: Vector) -> Vector:
-    """V − V(z̄) with nan where a pole takes it far beyond what it is elsewhere."""
-    finite = np.isfinite(values)
-    usual = float(np.median(np.abs(values[finite]))) if finite.any() else 0.0
-    shown = finite & (np.abs(values) <= _POLE * usual)
-    return np.where(shown, values, np.nan)
 
 
 def responses_figure(design: Design, trajectories: Sequence[Trajectory]) -> Figure:
@@ -277,9 +283,10 @@ def responses_figure(design: Design, trajectories: Sequence[Trajectory]) -> Figu
     shown = sum(name in design.loop.states for name in names)
     left_out = f" ({shown} of {total} states)" if shown < total else ""
     figure.suptitle(f"{design.loop.plant.name}: closed-loop responses, targets dashed{left_out}")
-    axes = figure.subplots(rows, columns, squeeze=False, sharex=True).ravel()
+    axes = figure.subplots(rows, columns, squeeze=False).ravel()
     for name, axis in zip(names, axes, strict=False):
         draw_over_time(axis, design, trajectories, name)
+        finished(axis, [("x", "time", "s")])
     if unsettled:
         outcomes = {response.converged for response in trajectories}
         lines = [
@@ -293,9 +300,6 @@ def responses_figure(design: Design, trajectories: Sequence[Trajectory]) -> Figu
         figure.legend(handles=lines, loc="lower center", ncols=2, fontsize=8)
     for axis in axes[count:]:
         axis.remove()
-    for k in range(max(0, count - columns), count):
-        axes[k].tick_params(labelbottom=True)
-        finished(axes[k], [("x", "time", "s")])
     return figure
 
 
@@ -311,23 +315,41 @@ def draw_over_time(
     """A state, an input, or V − V(z̄) as ``V``, along responses on any axes."""
     states, inputs = design.loop.states, input_names(design.loop.plant.m)
     n = design.loop.plant.n
-    for response in trajectories:
+    curves = [(response.t, _over_time(design, response, name)) for response in trajectories]
+    for response, (t, values) in zip(trajectories, curves, strict=True):
         color = _INK if response.converged else _UNSETTLED
-        values = _over_time(design, response, name)
-        axis.plot(response.t, values, lw=0.9, color=color, alpha=0.7)
+        axis.plot(t, values, lw=0.9, color=color, alpha=0.7)
+    common = _settled(trajectories)
     if name in states:
         k = states.index(name)
         axis.axhline(design.z_star[k], ls="--", lw=1, color=_TARGET)
+        least = coarse_enough(axis, design.z_star[k], design.sizes.state[k])
         finished(axis, [("y", *named_state(design, k))])
     elif name in inputs:
         k = inputs.index(name)
         steady = design.lyapunov.control_law(design.z_bar[:n], design.z_bar[n:])[0]
         axis.axhline(steady[k], ls="--", lw=1, color=_TARGET)
+        least = coarse_enough(axis, steady[k], design.sizes.input[k])
         draw_limits(axis, design, k)
         finished(axis, [("y", *named_input(design, k))])
     else:
-        _decay_axis(axis)
+        least = np.inf
+        _decay_axis(axis, [values[t <= common] for t, values in curves])
+    axis.set_xlim(0, until_rest(curves, common, least))
     axis.grid(alpha=0.25)
+
+
+def coarse_enough(axis: Axes, middle: float, size: float) -> float:
+    """Show a part of a quantity's size where it does not move; what is no motion."""
+    no_finer(axis, _STILL * size, middle, _STILL_SHOWN * size)
+    return _STILL * size
+
+
+def _settled(trajectories: Sequence[Trajectory]) -> float:
+    """When the slowest has settled, with some room; all that was simulated where one does not."""
+    end = max((float(response.t[-1]) for response in trajectories), default=1.0)
+    slowest = max((response.settling_time for response in trajectories), default=end)
+    return min(end, (1 + _AFTER) * slowest) or end
 
 
 def _telling_states(design: Design, trajectories: Sequence[Trajectory]) -> list[int]:
@@ -365,8 +387,10 @@ def draw_limits(axis: Axes, design: Design, index: int) -> None:
             axis.axhline(limit, ls=":", lw=1, color=_UNSETTLED)
 
 
-def _decay_axis(axis: Axes) -> None:
+def _decay_axis(axis: Axes, shown: Sequence[Vector]) -> None:
     axis.set_yscale("log")
+    if shown:
+        axis.set_ylim(bottom=0.5 * min(float(values.min()) for values in shown))
     logarithmic(axis, "y")
     axis.set_ylabel("V − V(z̄)")
 

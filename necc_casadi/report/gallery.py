@@ -21,10 +21,6 @@ from necc_casadi.simulation.responses import Trajectory, response_from
 __all__ = ["figures_of", "from_the_boundary"]
 
 
-#: Points of a response in the plane of two states.
-_POINTS = 251
-
-
 def figures_of(found: Findings) -> dict[str, Figure]:
     """The figures of a design, by the names of their files."""
     made, certificate = found.finished
@@ -35,7 +31,9 @@ def figures_of(found: Findings) -> dict[str, Figure]:
         }
         if certificate.level is not None:
             inside = from_the_boundary(made, certificate)
-            figures["region"] = region_figure(made, certificate.level, inside, certificate.reach)
+            figures["region"] = region_figure(
+                made, certificate.level, inside, certificate.reach, certificate.obstacle
+            )
         figures["landscape"] = landscape_figure(made, certificate)
         if found.performance is not None:
             from necc_casadi.report.comparison_figures import frequency_figure, step_figure
@@ -52,4 +50,4 @@ def from_the_boundary(design: Design, certificate: Certificate) -> list[Trajecto
     if certificate.level is None:
         return []
     starts = region_boundary(design, certificate.level, certificate.reach)
-    return [response_from(design, start, design.xi_star, points=_POINTS) for start in starts]
+    return [response_from(design, start, design.xi_star) for start in starts]

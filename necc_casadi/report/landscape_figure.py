@@ -16,7 +16,8 @@ from necc_casadi.certificate.claims.regions import Obstacle, Region
 from necc_casadi.certificate.prover.region.landscape import Landscape
 from necc_casadi.certificate.prover.region.obstacle import search
 from necc_casadi.designs.design import Design
-from necc_casadi.report.ticks import engineering, finished, panels
+from necc_casadi.report.contours import number_contours
+from necc_casadi.report.ticks import engineering, finished, logarithmic, panels
 
 __all__ = ["draw_landscape", "landscape_figure"]
 
@@ -38,6 +39,15 @@ _APART = 0.02
 
 #: States that can be drawn.
 _MOST = 2
+
+
+#: Height of the obstacle over what W is in most of the region, from which on W is drawn on a
+#: logarithmic axis; and the share of the points, nearest to z̄, below it.
+_TOWER, _BELOW_AXIS = 100.0, 0.02
+
+
+#: An obstacle lower than this share of W there has the other states elsewhere than at W's minimum.
+_AT_LEAST = 0.99
 
 
 def landscape_figure(design: Design, certificate: Certificate) -> Figure | None:
@@ -127,6 +137,15 @@ class _Picture:
         name = self.design.loop.states[self._states[k]]
         return name, self.design.loop.plant.units.get(name, "")
 
+    @cached_property
+    def _marked(self) -> Vector | None:
+        """Where the obstacle is marked: a place at which W is as high, no lower ground."""
+        if self._place is None:
+            return None
+        here = float(self._w(self._place[None, :])[0])
+        lower = here < _AT_LEAST * self.obstacle.level_above_minimum
+        return None if lower and self.obstacle.kind != "singularity" else self._place
+
     @property
     def _proved(self) -> str:
         return f"proved up to V − V(z̄) = {engineering(self.height)}"
@@ -134,12 +153,25 @@ class _Picture:
     @property
     def _met(self) -> str:
         kind = self.obstacle.kind.replace("_", " ")
-        return f"obstacle: {kind}, {engineering(self.obstacle.level_above_minimum, digits=4)}"
+        height = engineering(self.obstacle.level_above_minimum, digits=4)
+        elsewhere = "" if self._marked is not None else ", of another state"
+        return f"obstacle: {kind}{elsewhere}, {height}"
+
+    def _mark_obstacle(self, axis: Axes, *height: float) -> None:
+        """A dot where it is; else words alone."""
+        at = ([], []) if self._marked is None else (*self._marked, *height)
+        axis.plot(*at, " " if self._marked is None else "o", ms=8, color=_OBSTACLE, label=self._met)
+
+    def _along(self, lo: float, hi: float) -> Vector:
+        """Points of the curve, denser towards the ends of the region's box, where a pole may be."""
+        box = np.array(self.region.box.whole[0]) * self._unit[0]
+        inside = box.mean() - 0.5 * np.ptp(box) * np.cos(np.linspace(0, np.pi, _CURVE))
+        return np.unique(np.concatenate([np.linspace(lo, hi, _CURVE), inside]))
 
     def curve(self, axis: Axes) -> None:
         """W over one state."""
         lo, hi = self._window
-        s = np.linspace(lo[0], hi[0], _CURVE)
+        s = self._along(lo[0], hi[0])
         w = self._w(s[:, None])
         top = (1 + _ABOVE) * self.obstacle.level_above_minimum
         drawn = w.copy()
@@ -150,21 +182,30 @@ class _Picture:
             s, w, self.height, where=inside.tolist(), color=_MINIMUM, alpha=0.2, label=self._proved
         )
         axis.axhline(self.height, ls="--", lw=1, color=_MINIMUM)
-        if self._place is not None:
-            height = self.obstacle.level_above_minimum
-            axis.plot(self._place[0], height, "o", ms=8, color=_OBSTACLE, label=self._met)
+        self._mark_obstacle(axis, self.obstacle.level_above_minimum)
         star = self.design.z_bar[self._states[0]]
-        axis.plot(star, 0.0, "+", ms=11, mew=2, color=_MINIMUM, label="minimum z̄ of V")
         low = _minima(drawn)
         low = low[np.abs(s[low] - star) > _APART * (hi[0] - lo[0])]
         if low.size:
             axis.plot(s[low], w[low], "x", ms=8, mew=2, color=_OTHER, label="other minimum")
         shown = w[np.isfinite(w)]
         lowest = max(float(shown.min(initial=0.0)) * 1.05, -top)  # not down a pole
-        axis.set_ylim(min(-0.05 * top, lowest), top)
         axis.set_xlim(lo[0], hi[0])
-        finished(axis, [("x", *self._named(0)), ("y", "min V − V(z̄)", "")])
         axis.grid(alpha=0.25)
+        finished(axis, [("x", *self._named(0))])
+        inner = np.sort(w[inside])
+        if inner.size and np.median(inner) * _TOWER < self.height and lowest > -inner[-1] / _TOWER:
+            low_end = float(inner[int(_BELOW_AXIS * inner.size)])
+            axis.set_yscale("log")
+            axis.set_ylim(low_end, top)
+            logarithmic(axis, "y")
+            axis.set_ylabel("min V − V(z̄)")
+            label, place = "minimum z̄ of V: 0", low_end
+        else:
+            axis.set_ylim(min(-0.05 * top, lowest), top)
+            finished(axis, [("y", "min V − V(z̄)", "")])
+            label, place = "minimum z̄ of V", 0.0
+        axis.plot(star, place, "+", ms=11, mew=2, color=_MINIMUM, label=label, clip_on=False)
 
     def plane(self, axis: Axes) -> None:
         """W over two states, and the cells that hold the region."""
@@ -175,7 +216,7 @@ class _Picture:
         top = (1 + _ABOVE) * self.obstacle.level_above_minimum
         low = min(0.0, float(np.nanmin(w)))
         levels = low + (top - low) * np.linspace(0.02, 1.0, 16)
-        axis.contour(A, B, w, levels=levels, cmap="viridis", linewidths=0.8, alpha=0.7)
+        lines = axis.contour(A, B, w, levels=levels, cmap="viridis", linewidths=0.8, alpha=0.7)
         cells = self.region.covers(s / self._unit).reshape(A.shape).astype(float)
         axis.contour(A, B, cells, levels=[0.5], colors=[_INK], linewidths=0.9, linestyles="--")
         axis.plot([], [], "--", lw=0.9, color=_INK, label="cells of the proof")
@@ -183,8 +224,7 @@ class _Picture:
         axis.contourf(A, B, inside, levels=[low - 1.0, self.height], colors=[_MINIMUM], alpha=0.15)
         axis.contour(A, B, inside, levels=[self.height], colors=[_MINIMUM], linewidths=2)
         axis.plot([], [], color=_MINIMUM, lw=2, label=self._proved)
-        if self._place is not None:
-            axis.plot(*self._place, "o", ms=8, color=_OBSTACLE, label=self._met)
+        self._mark_obstacle(axis)
         star = self.design.z_bar[self._states]
         axis.plot(*star, "+", ms=11, mew=2, color=_MINIMUM, label="minimum z̄ of V")
         places = self._others
@@ -192,6 +232,8 @@ class _Picture:
             axis.plot(*places.T, "x", ms=8, mew=2, color=_OTHER, label="other minimum")
         axis.set_xlim(lo[0], hi[0])
         axis.set_ylim(lo[1], hi[1])
+        marks = [star, *places, *([] if self._marked is None else [self._marked])]
+        number_contours(axis, lines, np.array(marks))
         finished(axis, [("x", *self._named(0)), ("y", *self._named(1))])
 
 

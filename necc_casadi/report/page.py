@@ -37,6 +37,10 @@ _CAPTIONS = {
 }
 
 
+#: Rows of the summary that say what can be assigned, and how it is held.
+_VERDICT = ("target", "Casimirs", "verdict", "method", "not held", "choice", "learned")
+
+
 #: What every claim is about, unless it says otherwise.
 _ABOUT = (
     "Proved means by exact algebra or by interval arithmetic with outward rounding, about the "
@@ -80,10 +84,7 @@ def report(found: Findings, figures: Mapping[str, Figure], command: str = "") ->
     plant = made.loop.plant
     sections = (
         ("Model", _model(found)),
-        (
-            "Verdict and method",
-            _facts(found, ("target", "Casimirs", "verdict", "choice", "learned")),
-        ),
+        ("Verdict and method", _facts(found, _VERDICT)),
         (
             "Design",
             _lyapunov(made) + _facts(found, ("sizes", "design", "minimum", "loop", "sampled")),
@@ -201,6 +202,7 @@ def _controller(loop: ClosedLoop) -> list[str]:
     if ahead is not None:
         u0, gain = m.matrix(sp.Matrix(ahead.u0)), m.matrix(sp.Matrix(ahead.gain))
         parts.append(m.formula(inputs, o("="), u0, o("+"), gain, given))
+        parts.append("<p>For w the plant has another structure and the energy</p>")
         parts.append(m.formula(m.identifier("H"), o("="), m.row(loop.plant.H)))
     return [*parts, *_inner_states(loop), law]
 

@@ -30,8 +30,9 @@ _GRID = 121
 _RAYS, _STEPS = 96, 12
 
 
-#: How much farther than a quadratic V a ray is followed; halvings of the last step.
-_FARTHEST, _HALVINGS = 6, 7
+#: How much farther than a quadratic V a ray is followed; halvings of the last step, of the
+#: shortest ray and at most.
+_FARTHEST, _HALVINGS, _MOST_HALVINGS = 6, 7, 20
 
 
 _NEWTON, _BACKTRACKS = 4, 4
@@ -41,8 +42,12 @@ _NEWTON, _BACKTRACKS = 4, 4
 _FLAT = 1e-6
 
 
-#: Room around the shadow, as a share of its size.
-_MARGIN = 0.2
+#: Room around the shadow, as a share of its size; and of a window's border, of its own.
+_MARGIN, _ON_BORDER = 0.2, 1e-9
+
+
+#: Rounds in which rays are added where neighbours end farther apart than this share of the shadow.
+_ROUNDS, _APART = 5, 0.06
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +62,16 @@ class Window:
         """The part that holds a curve (k, 2) with some room around it."""
         low, high = curve.min(0), curve.max(0)
         room = _MARGIN * (high - low)
-        return Window(self.pair, np.maximum(self.lo, low - room), np.minimum(self.hi, high + room))
+        return self.within(low - room, high + room)
+
+    def within(self, lo: Vector, hi: Vector) -> Window:
+        """The part between two corners."""
+        return Window(self.pair, np.maximum(self.lo, lo), np.minimum(self.hi, hi))
+
+    def on_border(self, points: Vector) -> npt.NDArray[np.bool_]:
+        """Which of the points (k, 2) lie on the border."""
+        room = _ON_BORDER * (self.hi - self.lo)
+        return np.asarray(((points <= self.lo + room) | (points >= self.hi - room)).any(axis=1))
 
 
 @lru_cache(maxsize=4)
@@ -111,15 +125,19 @@ def slice_values(design: Design, window: Window) -> tuple[Vector, Vector, Vector
 
 @lru_cache(maxsize=4)
 def slice_boundary(design: Design, level: float, window: Window) -> Vector | None:
-    """The closed curve V = level around z̄, the other states at z*, (k, 2); None: not in sight."""
+    """The closed curve around the part of {V ≤ level} at z̄, the other states at z*, (k, 2).
+
+    Where that goes on beyond the window, the curve follows the border; None: z̄ is not in sight.
+    """
     A, B, values = slice_values(design, window)
-    middle = design.z_bar[list(window.pair)]
-    lines = Figure().add_subplot().contour(A, B, values, levels=[level - design.V(design.z_bar)])
+    middle, height = design.z_bar[list(window.pair)], level - design.V(design.z_bar)
+    outside = 2 * abs(height) or 1.0
+    walled = np.pad(np.where(np.isfinite(values), values, outside), 1, constant_values=outside)
+    a, b = np.pad(A[0], 1, mode="edge"), np.pad(B[:, 0], 1, mode="edge")
+    lines = Figure().add_subplot().contour(a, b, walled, levels=[height])
     for segment in lines.allsegs[0]:
         curve = np.asarray(segment, float)
-        gap = np.abs(curve[0] - curve[-1]) / (window.hi - window.lo)
-        closed = len(curve) > 3 and gap.max() < 1e-9
-        if closed and Curve(curve).contains_point((middle[0], middle[1])):
+        if len(curve) > 3 and Curve(curve).contains_point((middle[0], middle[1])):
             return curve
     return None
 
@@ -131,8 +149,18 @@ def shadow(design: Design, level: float, window: Window) -> Vector:
     edge, by Newton's method from the minimum before: computed, not proved.
     """
     angle = np.linspace(0, 2 * np.pi, _RAYS, endpoint=False)
-    circle = np.stack([np.cos(angle), np.sin(angle)])
-    return ray_ends(design, level, list(window.pair), circle, (window.lo, window.hi))
+    circle, box = np.stack([np.cos(angle), np.sin(angle)]), (window.lo, window.hi)
+    pair = list(window.pair)
+    edge = ray_ends(design, level, pair, circle, box)
+    for _ in range(_ROUNDS):  # where V bends unevenly, most rays end close together
+        after = np.roll(edge, -1, axis=0)
+        far = (np.abs(after - edge) / np.ptp(edge, axis=0)).max(axis=1) > _APART
+        if not far.any():
+            break
+        towards = 0.5 * (edge + after)[far] - design.z_bar[pair]
+        more = ray_ends(design, level, pair, _directions(design, pair, towards), box)
+        edge = np.insert(edge, np.flatnonzero(far) + 1, more, axis=0)
+    return edge
 
 
 def ray_ends(
@@ -159,6 +187,15 @@ def ray_ends(
         design.natural, level / units.energy, shown, directions, (lo / size, hi / size)
     )
     return ends * size
+
+
+def _directions(design: Design, shown: list[int], towards: Vector) -> Vector:
+    """Directions of :func:`ray_ends`, (shown, rays), along steps (rays, shown) from z̄."""
+    natural = design.natural
+    rest = [i for i in range(len(natural.z_bar)) if i not in shown]
+    steps = (towards / design.units.state[shown]).T
+    along = np.linalg.solve(_unit_rise(natural, shown, rest), steps)
+    return np.asarray(along / np.linalg.norm(along, axis=0), float)
 
 
 def _followed(
@@ -195,8 +232,11 @@ def _followed(
         moving = advance(step, moving)
         if not moving.any():
             break
-    for halving in range(1, _HALVINGS + 1):
-        advance(step / 2**halving, every)
+    for halving in range(_MOST_HALVINGS):
+        if halving >= _HALVINGS and step < radius.min() / 2**_HALVINGS:
+            break  # a share of each ray: beside a pole some are very short
+        step /= 2
+        advance(step, every)
     return np.asarray((start + radius * rays).T, float)
 
 

@@ -17,6 +17,7 @@ __all__ = [
     "engineering",
     "finished",
     "logarithmic",
+    "no_finer",
     "panels",
     "power_of",
     "rounded",
@@ -24,7 +25,8 @@ __all__ = [
 ]
 
 
-#: Powers of ten between which numbers stand as they are.
+#: Powers of ten between which numbers stand as they are; with a unit that takes a prefix, from one
+#: higher on.
 _PLAIN_LOW, _PLAIN_HIGH = -2, 4
 
 
@@ -47,7 +49,7 @@ _TICKS = 6
 
 
 #: Inches around panels: left for a label and ticks, right, between rows; above and below.
-_LEFT, _RIGHT, _BETWEEN, _ABOVE, _BELOW = 0.8, 0.15, 0.5, 0.45, 0.55
+_LEFT, _RIGHT, _BETWEEN, _ABOVE, _BELOW = 0.8, 0.15, 0.6, 0.45, 0.55
 
 
 def panels(rows: int, columns: int, panel: tuple[float, float], legend: float = 0.0) -> Figure:
@@ -83,12 +85,12 @@ def rounded(value: float, digits: int = 3) -> str:
     return text.replace("-", "−")
 
 
-def power_of(largest: float) -> int:
+def power_of(largest: float, unit: str = "") -> int:
     """The power of a thousand in which the largest magnitude is 1 to 1000; 0: as it stands."""
     if not largest > 0 or not math.isfinite(largest):
         return 0
     exponent = math.floor(math.log10(largest) + 1e-9)
-    if _PLAIN_LOW <= exponent < _PLAIN_HIGH:
+    if _PLAIN_LOW + (unit in _TAKES_PREFIX) <= exponent < _PLAIN_HIGH:
         return 0
     return 3 * math.floor(exponent / 3)
 
@@ -108,7 +110,7 @@ def scaled_label(label: str, unit: str, power: int) -> str:
 
 def engineering(value: float, unit: str = "", digits: int = 3) -> str:
     """A number with its unit: ``3 µm``, ``1.19·10⁸ kg m/s``."""
-    power = power_of(abs(value))
+    power = power_of(abs(value), unit)
     number = rounded(value / 10.0**power, digits)
     if power == 0:
         return f"{number} {unit}".rstrip()
@@ -177,11 +179,18 @@ def _is_round(step: float, digits: int) -> bool:
     return math.isclose(shifted, round(shifted), rel_tol=1e-6)
 
 
+def no_finer(axes: Axes, span: float, middle: float, room: float) -> None:
+    """Where what is drawn spans less than `span`, it is no motion: show `room` on either side."""
+    low, high = axes.get_ylim()
+    if high - low < span:
+        axes.set_ylim(middle - room, middle + room)
+
+
 def finished(axes: Axes, sides: Sequence[tuple[str, str, str]]) -> None:
     """Labels and ticks of linear sides, (``x``, label, unit) each, once limits are known."""
     for side, label, unit in sides:
         low, high = getattr(axes, f"get_{side}lim")()
-        power = power_of(max(abs(low), abs(high)))
+        power = power_of(max(abs(low), abs(high)), unit)
         getattr(axes, f"set_{side}label")(scaled_label(label, unit, power))
         axis = getattr(axes, f"{side}axis")
         axis.set_major_locator(MaxNLocator(_TICKS, steps=[1, 2, 2.5, 5, 10]))

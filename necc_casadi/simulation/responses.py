@@ -42,6 +42,10 @@ _NOTHING_DECAYS = 30.0
 _MOST_PERIODS = 1000
 
 
+#: Output times in a period of the fastest oscillation; of a response, at least and at most.
+_IN_A_PERIOD, _FEWEST, _MOST = 16, 500, 4000
+
+
 #: Error that a step allows, in natural units.
 _RELATIVE, _ABSOLUTE = 1e-9, 1e-11
 
@@ -160,7 +164,7 @@ def simulate(
     xi0: npt.ArrayLike | None = None,
     *,
     time: float | None = None,
-    points: int = 501,
+    points: int | None = None,
     patience: float = np.inf,
     disturbance: npt.ArrayLike | None = None,
 ) -> Trajectory:
@@ -177,7 +181,7 @@ def simulate(
     time
         Horizon, s; by default long enough for the slowest mode.
     points
-        Number of output times.
+        Number of output times; by default 501, or as many as show the fastest oscillation.
     patience
         Seconds of computing after which the response is cut; some stiff loops take very long.
     disturbance
@@ -215,7 +219,7 @@ def response_from(
     xi0: npt.ArrayLike | None = None,
     *,
     time: float | None = None,
-    points: int = 501,
+    points: int | None = None,
     patience: float = np.inf,
     disturbance: npt.ArrayLike | None = None,
 ) -> Trajectory:
@@ -225,6 +229,7 @@ def response_from(
     xi = design.xi_at_state(x0) if xi0 is None else np.asarray(xi0, float)
     z0 = np.concatenate([np.asarray(x0, float), xi]) / units.state
     horizon = default_horizon(design) if time is None else float(time)
+    points = _enough_points(design, horizon) if points is None else points
     grid = np.linspace(0.0, horizon, points)
     m, n, N = V.terms.m, V.terms.n, len(z0)
     d = (np.zeros(m) if disturbance is None else np.asarray(disturbance, float)) / units.input
@@ -249,6 +254,12 @@ def response_from(
         else None,
         zeta=zeta * units.input if zeta.size else None,
     )
+
+
+def _enough_points(design: Design, horizon: float) -> int:
+    """Output times between which the fastest oscillation does not turn."""
+    periods = horizon * float(np.abs(design.spectrum.imag).max()) / (2 * np.pi)
+    return int(np.clip(_IN_A_PERIOD * periods, _FEWEST, _MOST)) + 1
 
 
 def _integrated(

@@ -7,13 +7,16 @@ import numpy as np
 import pytest
 from helpers.problems import problem, solve
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
 
 from necc_casadi.certificate.prover.certify import certify
 from necc_casadi.model.model_file import load_model
 from necc_casadi.report import figures
+from necc_casadi.report.contours import contour_levels, number_contours
 from necc_casadi.report.landscape_figure import landscape_figure
-from necc_casadi.report.slices import telling_pair
+from necc_casadi.report.slices import Window, slice_boundary, telling_pair
 from necc_casadi.report.style import write_figure
+from necc_casadi.report.time_axis import until_rest
 from necc_casadi.simulation.responses import random_states, simulate
 
 
@@ -222,3 +225,76 @@ def test_written_whole(default_design, response, tmp_path):
     write_figure(figures.responses_figure(default_design, [response]), path)
     assert path.read_bytes().startswith(b"\x89PNG")
     assert [p.name for p in path.parent.iterdir()] == ["responses.png"]
+
+
+def test_a_state_that_does_not_move_is_drawn_at_rest(default_design, response):
+    """What the integrator errs by is no response: the axis shows a part of the state's size."""
+    still = np.full(len(response.t), default_design.z_star[2])
+    still[1:] += 1e-13 * np.arange(1, len(still))
+    z = np.column_stack([response.z[:, :2], still])
+    size = default_design.sizes.state[2]
+    axis = figures.responses_figure(default_design, [replace(response, z=z)]).axes[2]
+    assert np.ptp(axis.get_ylim()) == pytest.approx(0.2 * size)
+    assert np.mean(axis.get_ylim()) == pytest.approx(default_design.z_star[2])
+    z = np.column_stack([response.z[:, :2], default_design.z_star[2] + 1e7 * (still - still[0])])
+    moved = figures.responses_figure(default_design, [replace(response, z=z)]).axes[2]
+    assert np.ptp(moved.get_ylim()) < 1e-3 * size
+
+
+def test_a_quantity_that_rests_sooner_has_a_time_of_its_own():
+    t = np.linspace(0, 100, 1001)
+    slow, quick, still = np.exp(-t / 20), np.exp(-t), np.full_like(t, 3.0)
+    assert until_rest([(t, slow)], 100.0) == 100.0
+    own = until_rest([(t, quick), (t, -2 * quick)], 100.0)
+    assert np.abs(quick[t > own]).max() < 0.02
+    assert 4 < own < 6  # e⁻ᵗ is 2 % at 3.9
+    assert until_rest([(t, quick), (t, slow)], 100.0) == 100.0
+    assert until_rest([(t, still)], 100.0) == until_rest([(t, quick)], 100.0, least=2.0) == 100.0
+    assert until_rest([(t, np.where(t < 50, quick, np.nan))], 100.0) == 100.0
+
+
+@pytest.mark.parametrize("scale", [1e-6, 1.0, 1e6])
+@pytest.mark.parametrize("narrow", [1.0, 40.0])
+def test_numbers_on_contours_stand_inside_and_apart(scale, narrow):
+    """Whatever the scale of axes and values, and where lines end at the border, too."""
+    axis = Figure().add_subplot()
+    a, b = np.meshgrid(scale * np.linspace(-1, 1, 61), np.linspace(-1, 1, 61) / scale)
+    values = scale * ((a / scale) ** 2 / narrow + (b * scale) ** 2)
+    lines = axis.contour(a, b, values, levels=contour_levels(values))
+    lo, hi = np.transpose([axis.get_xlim(), axis.get_ylim()])
+    power = number_contours(axis, lines, np.zeros((1, 2)))
+    texts = [text for text in axis.texts if text.get_text()]
+    assert len(texts) >= 3
+    places = np.array([(text.get_position() - lo) / (hi - lo) for text in texts])
+    assert ((places > 0.05) & (places < 0.95)).all()
+    gaps = np.linalg.norm(places[:, None] - places[None], axis=2) + np.eye(len(places))
+    assert gaps.min() > 0.1
+    for text in texts:
+        x, y = text.get_position()
+        here = scale * ((x / scale) ** 2 / narrow + (y * scale) ** 2)
+        assert float(text.get_text()) * 10.0**power == pytest.approx(here, rel=0.2)
+
+
+def test_what_ends_the_region_is_marked(default_design):
+    """At the critical point, outside of Ω's shadow; a place over the shadow is another state's."""
+    certificate = certify(default_design)
+    obstacle, proved = certificate.obstacle, (certificate.level, [], certificate.reach)
+    for at, marked in ((obstacle.at, True), ({**obstacle.at, "q": 1.0, "p": 0.1}, False)):
+        shown = replace(obstacle, at=at)
+        axis = figures.region_figure(
+            default_design, certificate.level, [], certificate.reach, shown
+        )
+        places = [xy for label, xy in lines_of(axis.axes[0]).items() if label.startswith("ends Ω")]
+        assert len(places) == marked
+        for place in places:
+            np.testing.assert_array_equal(place[0], [at["q"], at["p"]])
+
+
+def test_a_region_that_goes_on_is_cut_at_the_border(default_design):
+    """The slice follows the window's border, and says where it does."""
+    level = default_design.V(default_design.z_bar) + 1.0
+    narrow = Window((0, 1), np.array([0.5, -0.2]), np.array([1.0, 0.2]))
+    curve = slice_boundary(default_design, level, narrow)
+    assert narrow.on_border(curve).all()
+    assert curve.min(0) == pytest.approx(narrow.lo)
+    assert curve.max(0) == pytest.approx(narrow.hi)

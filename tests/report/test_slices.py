@@ -9,6 +9,7 @@ from scipy.optimize import minimize
 from necc_casadi.certificate.prover.certify import certify
 from necc_casadi.model.model_file import load_model
 from necc_casadi.report.slices import (
+    Window,
     domain_window,
     shadow,
     slice_boundary,
@@ -88,6 +89,16 @@ def test_on_the_shadows_edge_the_least_V_is_the_level(cart, height):
         on_the_edge = (point <= window.lo + 0.05).any() or (point >= window.hi - 0.05).any()
         assert found <= 1 + 1e-6
         assert found >= 0.98 or on_the_edge
+
+
+def test_the_shadow_of_a_long_region_has_no_long_edges(cart):
+    """Rays are added where they end far apart, as they do where V bends unevenly."""
+    window = domain_window(cart)
+    far = Window(window.pair, 30 * window.lo, 30 * window.hi)
+    edge = shadow(cart, cart.V(cart.z_bar) + 300.0, far)
+    gaps = np.abs(np.roll(edge, -1, axis=0) - edge) / np.ptp(edge, axis=0)
+    assert gaps.max() < 0.13
+    assert Curve(edge).contains_point(tuple(cart.z_bar[list(window.pair)]))
 
 
 def test_the_shadow_holds_the_proved_region(region):
