@@ -14,7 +14,6 @@ from necc_casadi.methods.method import Method
 from necc_casadi.pipeline.request import Request
 from necc_casadi.pipeline.run import write_run
 from necc_casadi.report.findings import Findings
-from necc_casadi.simulation.responses import Trajectory
 from necc_casadi.verdict.verdict import Verdict
 
 if TYPE_CHECKING:
@@ -26,6 +25,7 @@ if TYPE_CHECKING:
     from necc_casadi.certificate.claims.claim import Claim
     from necc_casadi.designs.design import Design
     from necc_casadi.performance.measure import Performance
+    from necc_casadi.simulation.responses import Trajectory
 
 __all__ = ["Result"]
 
