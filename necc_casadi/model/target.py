@@ -25,6 +25,10 @@ __all__ = [
 ]
 
 
+#: Digits to which roots are evaluated, and the share of one that is no imaginary part.
+_DIGITS, _REAL = 30, 1e-12
+
+
 #: Relative to the largest singular value of an equilibrated matrix; what is smaller counts as 0.
 _RELATIVE = 1e-9
 
@@ -333,8 +337,16 @@ def _solutions(
             "--target: the states that are not given cannot be solved in closed form",
             f"Give all states in order: {', '.join(plant.states)}.",
         ) from None
-    real = [sol for sol in found if all(v.is_real is not False for v in sol.values())]
+    real = [sol for sol in found if not any(_is_complex(v) for v in sol.values())]
     return [{s: v.subs(sol) for s, v in solved.items()} | sol for sol in real]
+
+
+def _is_complex(value: sp.Expr) -> bool:
+    """Whether a solution is not real; a cubic's real roots may be written with i."""
+    if value.is_real is not None or value.free_symbols:
+        return value.is_real is False
+    number = complex(value.evalf(_DIGITS))
+    return abs(number.imag) > _REAL * abs(number)
 
 
 def _contradicts(equation: sp.Expr) -> bool:

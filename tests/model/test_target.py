@@ -143,3 +143,16 @@ def test_the_target_of_a_model_file(pendulum):
 def test_the_nearest_equilibrium_is_one(pendulum):
     x = nearest_equilibrium(pendulum.loop.plant, {q: sp.Rational(1, 2), p: sp.Rational(3, 2)})
     np.testing.assert_allclose(x, [0.5, 0.0], atol=1e-12)
+
+
+def test_complex_roots_are_no_equilibria():
+    """A hardening spring under a weight: one real root of a cubic, two that are not."""
+    q1, q2, p1, p2 = sp.symbols("q1 q2 p1 p2", real=True)
+    J = sp.Matrix(4, 4, lambda i, j: (j == i + 2) - (i == j + 2))
+    spring = 16000 * (q1 - q2) ** 2 / 2 + 80000 * (q1 - q2) ** 4
+    H = p1**2 / 500 + p2**2 / 80 + spring + 2450 * q1 + 392 * q2
+    plant = make_plant((q1, q2, p1, p2), J, sp.zeros(4), sp.Matrix([0, 0, 1, 0]), H)
+    x_star = parse_target(plant, "q1=1/20")
+    force = -sp.diff(H, q2).subs(x_star)
+    assert abs(float(force)) < 1e-9
+    assert x_star[q2].evalf(30).is_real
