@@ -263,7 +263,8 @@ class _Follower:
         pending[alive] = not self.creeps
         calls = _Calls(_MOST_CALLS)
         for index in map(int, np.flatnonzero(pending)):
-            path = self._stiffly(z[index], t[index], horizon, calls)
+            known = np.isfinite(slope[index]).all()  # not so where the model is not defined
+            path = self._stiffly(z[index], t[index], horizon, calls) if known else None
             if path is None:
                 lost[index] |= stiff[index]
                 continue

@@ -11,7 +11,14 @@ from necc_casadi.model.cost import bryson
 from necc_casadi.model.model_file import load_model
 from necc_casadi.performance.closed_loop_cost import design_feedback, responses
 from necc_casadi.performance.plant_model import plant_model
-from necc_casadi.performance.saturated import even_starts, lqr_costs, saturated
+from necc_casadi.performance.saturated import (
+    _PATIENCE,
+    _Calls,
+    _Follower,
+    even_starts,
+    lqr_costs,
+    saturated,
+)
 from necc_casadi.simulation.responses import simulate
 from necc_casadi.synthesis.options import Options
 
@@ -150,3 +157,19 @@ def test_nothing_is_at_rest_elsewhere_where_a_loop_creeps():
     found = saturated(made, cost_of(made))
     assert not found.arrived.any()
     assert not found.strayed
+
+
+def test_a_response_near_a_pole_is_followed_though_its_steps_are_short(default_design):
+    """The way that is taken then, against the usual one; None where it is too long."""
+    cost = cost_of(default_design)
+    plant = plant_model(default_design, cost)
+    follower = _Follower(default_design, plant, design_feedback(default_design))
+    starts = even_starts(default_design, 1)
+    usual = follower.follow(starts)
+    z = np.concatenate(
+        [starts[0] / follower.units, follower.feedback.start(starts[0] / follower.units), [0.0]]
+    )
+    path = follower._stiffly(z, 0.0, _PATIENCE * follower.horizon, _Calls(40_000))
+    assert follower.distance(path[-1:])[0] < 1e-3
+    np.testing.assert_allclose(path[-1, -1], usual.cost[0], rtol=5e-3)
+    assert follower._stiffly(z, 0.0, follower.horizon, _Calls(10)) is None
