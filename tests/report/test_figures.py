@@ -281,10 +281,8 @@ def test_what_ends_the_region_is_marked(default_design):
     obstacle = certificate.obstacle
     for at, marked in ((obstacle.at, True), ({**obstacle.at, "q": 1.0, "p": 0.1}, False)):
         shown = replace(obstacle, at=at)
-        axis = figures.region_figure(
-            default_design, certificate.level, [], certificate.reach, shown
-        )
-        places = [xy for label, xy in lines_of(axis.axes[0]).items() if label.startswith("ends Ω")]
+        (axis,) = figures.region_figure(default_design, *proved, shown).axes
+        places = [xy for label, xy in lines_of(axis).items() if label.startswith("ends Ω")]
         assert len(places) == marked
         for place in places:
             np.testing.assert_array_equal(place[0], [at["q"], at["p"]])
