@@ -17,7 +17,7 @@ __all__ = ["check_sampled"]
 
 
 #: How often a box of the certificate may be halved again, and the core.
-_AGAIN, _CORE = 8, 12
+_AGAIN, _CORE = 16, 12
 
 
 def check_sampled(evidence: Evidence, sound: bool) -> Checked:

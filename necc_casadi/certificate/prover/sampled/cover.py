@@ -24,6 +24,8 @@ __all__ = ["Cover", "cover"]
 
 #: Boxes at once, and how often one is halved at most.
 _BATCH, _DEEPEST = 512, 40
+#: Boxes after which one must have been proved: those near z̄ come first.
+_HOPELESS = 4000
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,7 +106,7 @@ def cover(
     least
         Levels below this one are of no use.
     """
-    tree, done = _Tree(root), 0
+    tree, done, kept = _Tree(root), 0, False
     heap: list[tuple[float, int]] = [(-np.inf, 0)]
     limits = step.potential.design.loop.plant.u_limits
     while heap and heap[0][0] <= level and level > least:
@@ -115,7 +117,7 @@ def cover(
             taken.append(i)
             bounds.append(bound)
         done += len(taken)
-        if done > most:
+        if done > (most if kept else _HOPELESS):
             level = min(level, *bounds)
             break
         cells = Interval(
@@ -136,6 +138,7 @@ def cover(
         for k, i in enumerate(taken):
             if lowest[k] > level or proved[k]:
                 tree.node[i] = BEYOND if lowest[k] > level else KEPT
+                kept = kept or bool(proved[k])
                 continue
             # where Π ≺ 0 it is W that is not known well enough
             share = loose[k] if falls_on[k] else (tree.hi[i] - tree.lo[i]) * weights

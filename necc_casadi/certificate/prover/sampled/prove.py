@@ -28,11 +28,11 @@ __all__ = ["prove_sampled"]
 
 #: States at which Q is chosen, and random starts of the domain beside its corners.
 _POINTS, _STARTS = 60, 200
-#: Boxes that may be looked at, for each share of the height that is tried; of a share, this much
-#: is enough.
-_MOST, _SHARES, _ENOUGH = 30_000, (1.0, 0.7, 0.4), 0.9
-#: The same for each longer period that is tried, and the factors by which it is: the first as long
-#: as they succeed, then the second.
+#: Shares of the height that are tried, and boxes that may be looked at for each; a share is reached
+#: where this much of it is.
+_SHARES, _ENOUGH = ((1.0, 20_000), (0.4, 6_000), (0.1, 6_000)), 0.9
+#: Boxes for each longer period that is tried, and by which factors: the first as long as it
+#: succeeds, then the second.
 _LONGER, _FACTORS, _TRIALS = 10_000, (2.0, 2.0**0.5), 8
 #: The share of the height that a longer period has to reach.
 _AS_HIGH = 0.999
@@ -59,8 +59,8 @@ def prove_sampled(
     period = sample_time / design.units.time
     step, height = Step(TabledPotential(natural), integrator), _height(design, certificate)
     best: SampledRegion | None = None
-    for share in _SHARES:
-        found = _region(step, period, share * height)
+    for share, most in _SHARES:
+        found = _region(step, period, share * height, most)
         if found is not None and (best is None or found.height > best.height):
             best = found
         if best is not None and best.height >= _ENOUGH * share * height:
@@ -111,7 +111,7 @@ def _height(design: Design, certificate: Certificate) -> float:
 
 
 def _region(
-    step: Step, period: float, height: float, most: int = _MOST, enough: float = 0.0
+    step: Step, period: float, height: float, most: int, enough: float = 0.0
 ) -> SampledRegion | None:
     """{W < w₀} with w₀ − V(z̄) up to a height, by as many boxes; None: less than enough of it."""
     potential, design = step.potential, step.potential.design
