@@ -51,6 +51,8 @@ class Parts:
     initial_xi: InitialXi = "target"  # where ξ starts
     initial_gain: Vector | None = None  # T, (nc, n), where it starts at ξ* + T(x(0) − x*)
     integral: Integral | None = None  # integral action on the position; None: without
+    #: coordinate → range in which its set-point moves at run time; {}: it does not
+    setpoints: Mapping[str, tuple[sp.Expr, sp.Expr]] = field(default_factory=dict)
     learned: Residual | None = None  # of a learned Casimir; None: Casimirs in closed form
     versions: Mapping[str, str] = field(default_factory=_package_versions)
     sizes: Sizes = _OF_THE_MODEL  # natural sizes at the target; by default the model's units
