@@ -17,8 +17,9 @@ import numpy as np
 import sympy as sp
 
 from necc_casadi.arrays import Vector
-from necc_casadi.model.lagrangian import Lagrangian, Range
+from necc_casadi.model.lagrangian import Lagrangian
 from necc_casadi.model.plant import Plant
+from necc_casadi.model.ranges import Range
 from necc_casadi.model.rescale import exactly
 from necc_casadi.model.sizes import Sizes
 from necc_casadi.symbolic.derivatives import gradient
