@@ -128,6 +128,11 @@ def to_dict(design: Parts) -> dict[str, Any]:
         "D": _hex(design.D),
         "Dc": _hex(design.Dc),
         **_coupling_text(design.damping, design.loop.plant.m),
+        **(
+            {"setpoints": {k: text(v) for k, v in design.setpoints.items()}}
+            if design.setpoints
+            else {}
+        ),
         **({} if design.integral is None else {"integral": integral_text(design.integral)}),
         "sizes": {**_sizes_text(design.sizes), "guessed": list(design.sizes.guessed)},
         "units": _sizes_text(design.units),
@@ -234,6 +239,9 @@ def check_whole(design: Parts, data: Mapping[str, Any]) -> None:
             raise ValueError(f"sizes and units must be positive: {name}")
         if np.any(np.frexp(unit)[0] != 0.5):
             raise ValueError(f"units must be powers of two: {name}")
+    for name, (lo, hi) in design.setpoints.items():
+        if name not in plant.states or not bool(lo < hi) or lo.free_symbols | hi.free_symbols:
+            raise ValueError("a set-point moves between two numbers, for a state")
     if design.integral is not None and len(design.integral.gain) != m:
         raise ValueError("an integral action needs one number for each input")
     if design.initial_xi not in get_args(InitialXi):
@@ -346,6 +354,7 @@ def from_dict(data: Mapping[str, Any]) -> Parts:
         **_scaling(data),
         seed=data["seed"],
         starts=tuple(Start(**start) for start in data["starts"]),
+        setpoints={k: read(v) for k, v in data.get("setpoints", {}).items()},
         integral=integral_of(data["integral"]) if "integral" in data else None,
         learned=None if data["learned"] is None else Residual(**data["learned"]),
         versions=data["versions"],

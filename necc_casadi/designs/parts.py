@@ -16,6 +16,7 @@ from necc_casadi.designs.integral import Integral
 from necc_casadi.designs.outcome import Residual, Start
 from necc_casadi.lyapunov.parameterization import Form
 from necc_casadi.model.closed_loop import ClosedLoop
+from necc_casadi.model.ranges import Range
 from necc_casadi.model.sizes import Sizes
 from necc_casadi.verdict.verdict import Verdict
 
@@ -51,6 +52,8 @@ class Parts:
     initial_xi: InitialXi = "target"  # where ξ starts
     initial_gain: Vector | None = None  # T, (nc, n), where it starts at ξ* + T(x(0) − x*)
     integral: Integral | None = None  # integral action on the position; None: without
+    #: coordinate → range in which its set-point moves at run time; {}: it does not
+    setpoints: Mapping[str, Range] = field(default_factory=dict)
     learned: Residual | None = None  # of a learned Casimir; None: Casimirs in closed form
     versions: Mapping[str, str] = field(default_factory=_package_versions)
     sizes: Sizes = _OF_THE_MODEL  # natural sizes at the target; by default the model's units

@@ -90,7 +90,7 @@ class CompiledController:
 
     def _state(self, kept: Sequence[float]) -> Any:
         """Memory for ``necc_state``: ξ, and room for ζ behind it."""
-        return (self.real * (self.nc + self.m))(*(float(v) for v in kept))
+        return (self.real * (self.nc + self.m + self.n))(*(float(v) for v in kept))
 
     def _function(self, name: str) -> Any:
         return getattr(self.library, f"{self.prefix}_{name}")

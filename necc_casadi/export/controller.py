@@ -16,6 +16,7 @@ from necc_casadi.export.casadi2c import c_function
 from necc_casadi.export.margin import has_margin, margin_code, margin_takes_momenta
 from necc_casadi.export.networks import LANES, CNetwork, c_network, kernels, width
 from necc_casadi.export.source import Source
+from necc_casadi.export.targets import target_code
 from necc_casadi.export.templating import fill, indent
 
 __all__ = ["controller"]
@@ -54,6 +55,7 @@ def controller(source: Source) -> str:
         start=indent(_start(source)),
         margin=margin_code(source),
         **_integral(source),
+        **target_code(source),
     )
     return source.named(text)
 

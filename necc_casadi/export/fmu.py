@@ -21,6 +21,7 @@ from necc_casadi.export.controller import controller
 from necc_casadi.export.header import header
 from necc_casadi.export.margin import has_margin
 from necc_casadi.export.source import Source
+from necc_casadi.export.targets import moving_claim
 from necc_casadi.export.templating import PREFIX, fill
 from necc_casadi.files import write_text
 from necc_casadi.symbolic.identifiers import identifiers
@@ -146,7 +147,7 @@ def _description(source: Source, guid: str, name: str) -> str:
 
 
 def _variables(root: ET.Element, source: Source, units: Sequence[str]) -> None:
-    """x, u, ξ, ζ, margin, flags, start_at_minimum; the order fixes the references in fmu.c."""
+    """x, u, ξ, ζ, margin, r, flags, start_at_minimum; the order fixes the references in fmu.c."""
     design, loop, at_target = source.design, source.design.loop, _at_target(source)
     margin = ["margin"] if has_margin(source) else []
     variables = ET.SubElement(root, "ModelVariables")
@@ -156,7 +157,9 @@ def _variables(root: ET.Element, source: Source, units: Sequence[str]) -> None:
             *design.measurement.names,
             *inputs,
             *loop.controller.states,
+            *source.zeta_names,
             *margin,
+            *_targets(source),
             "flags",
             "start_at_minimum",
         ]
@@ -171,12 +174,16 @@ def _variables(root: ET.Element, source: Source, units: Sequence[str]) -> None:
             unit = {"unit": text} if (text := units[i]) else {}
             value = {"start": repr(float(at_target[i]))}
             add(name, i, "Real", value | unit, causality="input", variability="continuous")
+        elif i >= len(reals) - len(_targets(source)):
+            value = {"start": repr(float(at_target[i - len(reals) + len(_targets(source))]))}
+            add(name, i, "Real", value, causality="input", variability="continuous")
         else:
             words = {"causality": "output", "variability": "continuous", "initial": "calculated"}
             add(name, i, "Real", {}, **words)
     add(
         flags, 0, "Integer", {}, causality="output", variability="discrete", initial="calculated",
-        description="1: u clipped, 2: input not finite, 4: no minimum found",
+        description="1: u clipped, 2: input not finite, 4: no minimum found, 8: target out of "
+        "range, 16: moved part of the way, 32: not moved",
     )  # fmt: skip
     add(
         start, 0, "Boolean", {"start": str(design.initial_xi == "minimum").lower()},
@@ -185,13 +192,21 @@ def _variables(root: ET.Element, source: Source, units: Sequence[str]) -> None:
     )  # fmt: skip
 
 
+def _targets(source: Source) -> list[str]:
+    """Names of the set-points that may be commanded; none where they do not move."""
+    if moving_claim(source) is None:
+        return []
+    return [f"target_{name}" for name in source.design.loop.plant.states[: source.n // 2]]
+
+
 def _structure(root: ET.Element, source: Source) -> None:
     """U and the margin depend on x; ξ and the flags only at the start."""
     n, m, nc = source.n, source.m, source.nc + len(source.zeta_names)
     margin = {n + m + nc + 1} if has_margin(source) else set()
     structure = ET.SubElement(root, "ModelStructure")
     on_x = " ".join(str(i + 1) for i in range(n))
-    outputs = range(n + 1, n + m + nc + 2 + len(margin))
+    last = n + m + nc + len(margin)
+    outputs = [*range(n + 1, last + 1), last + len(_targets(source)) + 1]
     for name in ("Outputs", "InitialUnknowns"):
         parent = ET.SubElement(structure, name)
         for index in outputs:

@@ -42,6 +42,8 @@ def _missing(source: Source) -> str | None:
     region = certificate.region
     if source.design.integral is not None:
         return "what integral action makes fall contains a constant that is not known"
+    if source.design.setpoints:
+        return "the set-point moves, and necc_set_target tells what is proved from where"
     if region is None:
         if certificate.of_the_whole_space:
             return "what is proved holds from every state, below no level"

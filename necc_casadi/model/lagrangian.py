@@ -14,17 +14,14 @@ import sympy as sp
 from necc_casadi.model.closed_loop import ClosedLoop
 from necc_casadi.model.parametric import Parametric
 from necc_casadi.model.plant import Plant
+from necc_casadi.model.ranges import Range
 from necc_casadi.model.rescale import exactly
 from necc_casadi.model.shaped_loop import ShapedLoop
 from necc_casadi.model.sizes import Sizes
 from necc_casadi.symbolic.linear_algebra import tidy
 from necc_casadi.symbolic.zero import is_zero
 
-__all__ = ["Lagrangian", "Plants", "Range", "integral_obstacle", "lagrangian"]
-
-
-#: (least, greatest), exact.
-Range = tuple[sp.Expr, sp.Expr]
+__all__ = ["Lagrangian", "Plants", "integral_obstacle", "lagrangian"]
 
 
 @dataclass(frozen=True, eq=False)

@@ -38,6 +38,7 @@ from necc_casadi.model.modulated import (
 )
 from necc_casadi.model.parametric import Parametric
 from necc_casadi.model.plant import Plant, make_plant
+from necc_casadi.model.ranges import Range, Ranges
 from necc_casadi.model.sizes import input_names
 from necc_casadi.symbolic.expressions import exact, parse_number
 from necc_casadi.symbolic.zero import sign
@@ -56,7 +57,7 @@ _AFFINE = ("x", "f", "G")
 _OPTIONAL = (
     "params", "xi", "Jc", "Rc", "Gc", "casimirs", "target", "domain", "sizes", "D", "Dc",
     "u_limits", "units", "name", "state_cost", "input_cost", "u", "E", "f", "measured",
-    "uncertain",
+    "uncertain", "setpoints",
 )  # fmt: skip
 
 
@@ -91,7 +92,7 @@ class Model:
     input_cost: Vector | None = None  # m × m, ≻ 0
     params: Mapping[str, sp.Expr] = field(default_factory=dict)  # values, exact
     notes: tuple[str, ...] = ()  # names in the file that look mistyped
-    uncertain: Mapping[str, tuple[sp.Expr, sp.Expr]] = field(default_factory=dict)  # parameters
+    ranges: Ranges = field(default_factory=Ranges)  # of set-points and uncertain parameters
     parametric: Parametric | None = None  # the plant before values were put in; None: no parameter
 
     @cached_property
@@ -317,7 +318,7 @@ def _build(title: str, space: dict[str, Any], overrides: Mapping[str, str]) -> M
         state_cost=_weight(file, "state_cost", plant.n, strict=False),
         input_cost=_weight(file, "input_cost", plant.m, strict=True),
         params=file.parameters,
-        uncertain=_uncertain(file),
+        ranges=Ranges(setpoints=_setpoints(file, plant.states), uncertain=_uncertain(file)),
         parametric=_parametric(file),
     )
 
@@ -601,7 +602,32 @@ def _domain(file: _Reader, states: Sequence[str]) -> dict[str, tuple[sp.Expr, sp
     return result
 
 
-def _uncertain(file: _Reader) -> dict[str, tuple[sp.Expr, sp.Expr]]:
+def _setpoints(file: _Reader, states: Sequence[str]) -> dict[str, Range]:
+    """Ranges in which set-points move at run time."""
+    result = {}
+    for name, side in file.table("setpoints").items():
+        if name not in states:
+            raise ModelError(
+                "domain",
+                f"setpoints names {name}, which is no state",
+                f"States: {', '.join(states)}.",
+            )
+        try:
+            lo, hi = (file.read(bound) for bound in side)
+            ordered = bool(lo < hi) and bool(lo.is_finite and hi.is_finite)
+        except (TypeError, ValueError, AttributeError):
+            ordered = False
+        if not ordered:
+            raise ModelError(
+                "domain",
+                f"setpoints[{name}] = {side} is not a pair (lo, hi) with lo < hi",
+                "Give two finite numbers.",
+            )
+        result[name] = (lo, hi)
+    return result
+
+
+def _uncertain(file: _Reader) -> dict[str, Range]:
     """Ranges of parameters that are constant and unknown."""
     result = {}
     for name, side in file.table("uncertain").items():

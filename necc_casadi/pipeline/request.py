@@ -225,7 +225,7 @@ def _peak(values: tuple[float, ...], m: int) -> Vector:
     return np.array(values * (m if len(values) == 1 else 1), float)
 
 
-def _check_integral(request: Request, options: Options) -> None:
+def _check_integral(request: Request, options: Options, model: Model) -> None:
     """Refuse what is asked of the loop without ζ, or of another V than integral action covers."""
     beside = {
         "--rate, --settle and --peak-u": options.rate is not None or options.peak_u is not None,
@@ -233,6 +233,7 @@ def _check_integral(request: Request, options: Options) -> None:
         "--sweep-a": request.sweep_a is not None,
         "--learn-casimir": options.learn_casimir,
         "--casimir-form sum": options.casimir_form == "sum",
+        "setpoints of the model": bool(model.ranges.setpoints),
     }
     for name, given in beside.items():
         if given:
@@ -259,5 +260,5 @@ def read_options(request: Request, model: Model) -> Options:
     options = _with_response(request.chosen.over(options), request, m)
     check_options(options)
     if request.integral is not False:
-        _check_integral(request, options)
+        _check_integral(request, options, model)
     return options

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from importlib import import_module
@@ -26,6 +26,7 @@ from necc_casadi.methods.method import Method
 from necc_casadi.model.lagrangian import Plants
 from necc_casadi.model.model_file import Model
 from necc_casadi.model.plant import Plant
+from necc_casadi.model.ranges import Range
 from necc_casadi.model.spot_checks import check_model_at
 from necc_casadi.pipeline.advice import (
     design_notes,
@@ -321,10 +322,15 @@ def _with_plants(
 ) -> tuple[Design, Certificate]:
     """The design that was chosen, with integral action where it is asked for."""
     plants = None
-    if task.model.uncertain and task.model.parametric is not None:
-        plants = Plants(task.model.parametric, task.model.uncertain)
+    ranges = task.model.ranges
+    if ranges.uncertain and task.model.parametric is not None:
+        plants = Plants(task.model.parametric, ranges.uncertain)
     if request.integral is False:
-        return choice.design, _with_momenta(choice.design, choice.certificate, plants)
+        made, certificate = choice.design, choice.certificate
+        if ranges.setpoints:
+            with clock.stage("setpoints", "proving a box for all set-points"):
+                made, certificate = _with_setpoints(made, certificate, ranges.setpoints)
+        return made, _with_momenta(made, certificate, plants)
     from necc_casadi.certificate.prover.certify import certify
     from necc_casadi.synthesis.integral import with_integral
 
@@ -344,6 +350,18 @@ def _with_sampled_loop(
         return certificate
     with clock.stage("sampled", "proving the sampled loop"):
         return with_sampled_loop(made, certificate, request.sample_time, request.integrator)
+
+
+def _with_setpoints(
+    made: Design, certificate: Certificate, setpoints: Mapping[str, Range]
+) -> tuple[Design, Certificate]:
+    """The design with set-points that move; what else is proved of it stays as it is."""
+    from necc_casadi.certificate.prover.setpoints import prove_setpoints
+
+    moving = replace(made, setpoints=setpoints)
+    claim = prove_setpoints(moving)
+    claims = certificate.claims if claim is None else (*certificate.claims, claim)
+    return moving, replace(certificate, design_hash=moving.hash, claims=claims)
 
 
 def _with_momenta(made: Design, certificate: Certificate, plants: Plants | None) -> Certificate:

@@ -4,16 +4,21 @@ import ctypes
 import importlib.util
 import subprocess
 import zipfile
+from dataclasses import replace
 from xml.etree import ElementTree as ET
 
 import numpy as np
 import pytest
+import sympy as sp
 from helpers.export_cases import COMPILERS, STRICT, design, pendulum_loop
+from helpers.velocity import pendulum as sprung_pendulum
 
+from necc_casadi.certificate.prover.certify import certify
 from necc_casadi.export.fmu import export_fmu
 from necc_casadi.export.vectors import reference_step
 from necc_casadi.lyapunov.networks import Network
 from necc_casadi.lyapunov.parameterization import Form
+from necc_casadi.synthesis.integral import with_integral
 
 FMPY = importlib.util.find_spec("fmpy") is not None
 STEPS, DT = 200, 0.01
@@ -174,3 +179,45 @@ if FMPY:
             u = np.clip(d.control(measured(k), xi)[0], -1.5, 1.5)
             assert abs(result["xi1"][k + 1] - xi[0]) <= 1e-12
             assert abs(result["u1"][k + 1] - u[0]) <= 1e-12
+
+
+def unpacked(made, folder, certificate=None):
+    """A unit that is called pendulum_held, and its master."""
+    path = export_fmu(made, folder / "pendulum_held.fmu", certificate=certificate)
+    zipfile.ZipFile(path).extractall(folder / "unpacked")
+    root = ET.parse(folder / "unpacked" / "modelDescription.xml").getroot()
+    master = Master(folder / "unpacked", root.get("guid"))
+    names = [v.get("name") for v in root.find("ModelVariables")]
+    outputs = [int(u.get("index")) for u in root.find("ModelStructure/Outputs")]
+    causes = [v.get("causality") for v in root.find("ModelVariables")]
+    assert outputs == [i + 1 for i, cause in enumerate(causes) if cause == "output"]
+    return master, names
+
+
+def reals(master, name, references, values=None):
+    array = (ctypes.c_double * len(references))(*(values or [0.0] * len(references)))
+    chosen = (ctypes.c_uint * len(references))(*references)
+    assert master.call(name, chosen, ctypes.c_size_t(len(references)), array) == 0
+    return list(array)
+
+
+def test_integral_action_and_velocities_in_the_unit(tmp_path):
+    made = with_integral(sprung_pendulum())
+    master, names = unpacked(made, tmp_path)
+    assert names[:5] == ["q", "q_dot", "u1", "xi1", "zeta1"]
+    reals(master, "fmi2SetReal", [0, 1], [0.5, 0.2])
+    master.call("fmi2ExitInitializationMode")
+    _, rate = made.measured_controller.call([[0.5, 0.2], [*made.xi_star, 0.0]])
+    master.call("fmi2DoStep", ctypes.c_double(0), ctypes.c_double(0.01), 0)
+    assert reals(master, "fmi2GetReal", [4])[0] == pytest.approx(0.01 * float(rate[1]))
+
+
+def test_a_set_point_is_an_input_of_the_unit(tmp_path):
+    made = replace(sprung_pendulum(), setpoints={"q": (sp.Integer(-2), sp.Integer(2))})
+    master, names = unpacked(made, tmp_path, certify(made))
+    at = names.index("target_q")
+    assert reals(master, "fmi2GetReal", [at]) == [0.75]
+    reals(master, "fmi2SetReal", [0, 1, at], [1.0, 0.0, 1.0])
+    master.call("fmi2DoStep", ctypes.c_double(0), ctypes.c_double(0.01), 0)
+    u = reals(master, "fmi2GetReal", [2])[0]
+    assert u == pytest.approx(np.sin(1.0), abs=1e-9)  # what holds it at 1

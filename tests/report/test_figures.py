@@ -278,7 +278,7 @@ def test_numbers_on_contours_stand_inside_and_apart(scale, narrow):
 def test_what_ends_the_region_is_marked(default_design):
     """At the critical point, outside of Ω's shadow; a place over the shadow is another state's."""
     certificate = certify(default_design)
-    obstacle = certificate.obstacle
+    obstacle, proved = certificate.obstacle, (certificate.level, [], certificate.reach)
     for at, marked in ((obstacle.at, True), ({**obstacle.at, "q": 1.0, "p": 0.1}, False)):
         shown = replace(obstacle, at=at)
         (axis,) = figures.region_figure(default_design, *proved, shown).axes

@@ -34,6 +34,7 @@ from necc_casadi.certificate.checker.reading import (
 )
 from necc_casadi.certificate.checker.region.region import check_region, region_proof
 from necc_casadi.certificate.checker.sampled.sampled import check_sampled
+from necc_casadi.certificate.checker.setpoints import check_setpoints
 
 __all__ = ["check"]
 
@@ -123,8 +124,9 @@ def _everything(evidence: Evidence, plant_file: Callable[[], str | None]) -> lis
         results.append(check_global(evidence, settled.holds))
     plain = all(part.holds for part in decrease) and measured is not None and measured.holds
     integral = check_integral(evidence, plain, plant_file)
+    moving = check_setpoints(evidence, plain and sound)
     fed = check_momenta(evidence, all(part.holds for part in decrease), plant_file)
-    results += [claim for claim in (integral, fed) if claim is not None]
+    results += [claim for claim in (integral, moving, fed) if claim is not None]
     if evidence.claimed("sampled"):
         results.append(check_sampled(evidence, sound))
     return results

@@ -28,7 +28,7 @@ from necc_casadi.certificate.checker.remainders import StoredRemainders, casimir
 from necc_casadi.certificate.claims import statements
 from necc_casadi.symbolic.zero import is_zero
 
-__all__ = ["check_integral"]
+__all__ = ["check_integral", "is_covered"]
 
 
 def check_integral(
@@ -50,7 +50,7 @@ def check_integral(
     told = {model.states[i]: width * model.units.state[i] for i, width in sides}
     ranges = stated_ranges(evidence, "integral")
     text = statements.integral(level * model.units.energy, told, limits, ranges)
-    if model.integral is None or not _is_covered(model):
+    if model.integral is None or not is_covered(model):
         return Checked("integral", False, f"{text}; not proved: the plant and loop are covered")
     if len(widths) != 2 * model.m or not all(v > 0 for v in widths):
         return Checked("integral", False, f"{text}; not proved: a box of (e, ξ̃)")
@@ -72,8 +72,11 @@ def check_integral(
     )
 
 
-def _is_covered(model: StoredDesign) -> bool:
-    """q̇ measured, B regular and constant, the published loop, linear Casimirs, no coupling."""
+def is_covered(model: StoredDesign, *, coupled: bool = False) -> bool:
+    """q̇ measured, B regular and constant, the published loop, linear Casimirs.
+
+    The two ports are damped apart, by symmetric matrices, unless they may be coupled.
+    """
     loop, (k, odd) = model.loop, divmod(model.n, 2)
     published = isinstance(loop, StoredInterconnection) and model.ahead is None
     if not published or odd or model.inertia is None or model.m != k or model.nc != k:
@@ -92,16 +95,15 @@ def _is_covered(model: StoredDesign) -> bool:
     Gc, slopes = model.ports[model.n :, k:], casimir_slopes(model)[:, k:]
     regular = [model.G[k:, :].det(), Gc.det(), slopes.det(), rates.det()]
     moves, m = set(model.z), model.m
-    coupled = [model.damping[i][j] for i in range(m) for j in range(m, 2 * m)]
-    coupled += [model.damping[j][i] for i in range(m) for j in range(m, 2 * m)]
+    ties = [model.damping[i][j] for i in range(m) for j in range(m, 2 * m)]
+    ties += [model.damping[j][i] for i in range(m) for j in range(m, 2 * m)]
     blocks = [[row[s] for row in model.damping[s]] for s in (slice(m), slice(m, 2 * m))]
     symmetric = all(b[i][j] == b[j][i] for b in blocks for i in range(m) for j in range(m))
     return (
         all(is_zero(v) is True for v in zero)
         and not any(moves & sp.sympify(v).free_symbols for v in constant)
         and all(is_zero(v) is False for v in regular)
-        and symmetric
-        and not any(coupled)
+        and (coupled or (symmetric and not any(ties)))
     )
 
 

@@ -114,6 +114,12 @@ class StoredDesign:
         self.damping = self._damping(data, u)
         self.weights = divided(numbers(data["weights"]), scale.weights)
         self.integral = StoredIntegral(data["integral"], scale) if "integral" in data else None
+        #: Coordinate → ends of the range of its set-point, as texts in the units of the model.
+        self.setpoints = {
+            str(name): (str(lo), str(hi)) for name, (lo, hi) in data.get("setpoints", {}).items()
+        }
+        if not set(self.setpoints) <= set(model["states"][: self.n // 2]):
+            raise ValueError("a set-point of what is no coordinate")
         units = dict(zip(self.states, S, strict=True))
         self.domain = {
             name: tuple(parse(v, {}) / units[name] for v in bounds)

@@ -157,7 +157,8 @@ def check_design(data: Mapping[str, Any]) -> None:
     model, form = data["model"], data["form"]
     casimirs = _texts(data["casimirs"]["functions"])
     _check_names(model, len(casimirs), len(data["D"]))
-    _check_expressions([*_written(model), *casimirs, *_texts(data["target"])])
+    points = [text for side in dict(data.get("setpoints", {})).values() for text in _texts(side)]
+    _check_expressions([*_written(model), *casimirs, *_texts(data["target"]), *points])
     inner, betas = len(model["controller_states"]), form["betas"]
     inputs = [inner, *([1] * (1 + len(casimirs)) if betas else [len(casimirs)])]
     networks = [form["hc"], form["k"], *betas]

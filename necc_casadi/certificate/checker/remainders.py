@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 import sympy as sp
@@ -20,8 +22,9 @@ from necc_casadi.certificate.checker.arithmetic.definite import norm, positive
 from necc_casadi.certificate.checker.arithmetic.networks import Net
 from necc_casadi.certificate.checker.model import StoredDesign
 from necc_casadi.certificate.checker.plants import StoredPlants
+from necc_casadi.symbolic.expressions import parse
 
-__all__ = ["StoredRemainders", "casimir_slopes", "constants", "matrix_at"]
+__all__ = ["MovedPlant", "StoredRemainders", "casimir_slopes", "constants", "matrix_at"]
 
 
 #: How often a cell may be halved.
@@ -51,10 +54,47 @@ def constants(matrix: sp.Matrix) -> arb_mat:
     return arb_mat([[evaluate(sp.sympify(v), {}) for v in row] for row in matrix.tolist()])
 
 
+@dataclass(frozen=True, eq=False)
+class MovedPlant:
+    """M and U as functions of q̂ = q − r + q*, in natural units but for r."""
+
+    H: sp.Expr
+    R: sp.Matrix
+    inertia: sp.Matrix
+    ranges: Mapping[sp.Symbol, tuple[sp.Expr, ...]]
+
+    @classmethod
+    def of(cls, model: StoredDesign) -> MovedPlant:
+        """Of the set-points that design.json names; r may be rounded, as the target is."""
+        place: dict[sp.Symbol, sp.Expr] = {}
+        ranges: dict[sp.Symbol, tuple[sp.Expr, ...]] = {}
+        for i, s in enumerate(model.z[: model.n // 2]):
+            side = model.setpoints.get(model.states[i])
+            if side is not None:
+                r = sp.Dummy(f"r_{s}", real=True)
+                lo, hi = (parse(v, {}) for v in side)
+                slack = sp.Rational(1, 2**48) * (1 + sp.Abs(lo) + sp.Abs(hi))
+                unit = sp.Rational(*float(model.units.state[i]).as_integer_ratio())
+                place[s] = s + r / unit - model.target[i]
+                ranges[r] = lo - slack, hi + slack
+        inertia = sp.zeros(0, 0) if model.inertia is None else model.inertia
+
+        def there(expr: sp.Expr) -> sp.Expr:
+            return sp.sympify(expr).subs(place, simultaneous=True)
+
+        return cls(there(model.H), model.R, inertia.applyfunc(there), ranges)
+
+
+#: A plant in place of the one of the model.
+Other = StoredPlants | MovedPlant
+
+
 class StoredRemainders(ABC):
     """Ũ + K₀ + H₀ over boxes of (e, ξ̃, θ), in natural units but for θ."""
 
-    def __init__(self, model: StoredDesign, level: float, plants: StoredPlants | None) -> None:
+    def __init__(
+        self, model: StoredDesign, level: float, plants: StoredPlants | MovedPlant | None
+    ) -> None:
         if model.inertia is None:
             raise ValueError("the states are measured")
         self.model, self.level = model, arb(level)

@@ -32,7 +32,9 @@ __all__ = [
     "NO_MOMENTA",
     "NO_NEIGHBOURHOOD",
     "NO_REGION",
+    "NO_SETPOINTS",
     "ONLY_STABLE",
+    "SETPOINTS_ARE_NOT_COVERED",
     "SHAPED_STRUCTURE",
     "STRUCTURE",
     "TOO_MANY",
@@ -54,6 +56,7 @@ __all__ = [
     "region",
     "sampled",
     "sampled_is_not_covered",
+    "setpoints",
     "slope",
     "unproved",
 ]
@@ -109,6 +112,15 @@ NO_MOMENTA = (
     "a controller that is fed the plant's own momenta is not proved to make V decrease for every "
     "uncertain parameter: feed it the model's inertia times a measured velocity"
 )
+
+
+SETPOINTS_ARE_NOT_COVERED = (
+    "nothing is proved of set-points that move: the plant or its loop is not of the kind that is "
+    "covered"
+)
+
+
+NO_SETPOINTS = "no box is proved that holds solutions at every set-point"
 
 
 NO_INTEGRAL = "no box around the target is proved in which the integral action makes W fall"
@@ -251,6 +263,19 @@ def momenta(ranges: Mapping[str, Sequence[str]]) -> str:
     )
 
 
+def setpoints(
+    level: float, box: Mapping[str, float], away: float, ranges: Mapping[str, Sequence[str]]
+) -> str:
+    """Of one level of V and one box (q, ξ) about every set-point; `away` in natural units."""
+    sides = ", ".join(f"{name} ± {_down(width, 6)}" for name, width in box.items())
+    known = ", ".join(f"{name} in [{lo}, {hi}]" for name, (lo, hi) in ranges.items())
+    return (
+        f"for every set-point with {known}: every solution that starts with V at most "
+        f"{_down(level, 6)} above its value at the set-point, and {sides} about it, stays so and "
+        f"comes to rest within {_up(away, 3)} of it, in natural units"
+    )
+
+
 def attraction(rate: float | None) -> str:
     """Of a proved rate of decay of the linearisation; None where it has none."""
     if rate is None:
@@ -289,6 +314,7 @@ def unproved(limits: Sequence[Sequence[float]]) -> Mapping[str, frozenset[str]]:
         "global": frozenset(map(not_global, get_args(Missing))),
         "measurement": frozenset([NOT_MEASURED]),
         "momenta": frozenset([NO_MOMENTA]),
+        "setpoints": frozenset([NO_SETPOINTS, SETPOINTS_ARE_NOT_COVERED]),
         "integral": frozenset([INTEGRAL_IS_NOT_COVERED, NO_INTEGRAL]),
         "sampled": frozenset(map(sampled_is_not_covered, get_args(NotSampled))),
     }

@@ -26,7 +26,7 @@ _WIDTHS, _ASPECTS = 2.0 ** np.arange(2.0, -5.5, -0.5), (1.0, 0.5)
 
 
 #: Points of the sides and of the inside at which a box is tried; boxes that are then proved.
-_SIDE, _INSIDE, _TRIED = 60, 200, 5
+_SIDE, _INSIDE, _TRIED = 60, 200, 4
 
 
 #: Of the least E_W that is seen at points of the sides; there may be less between them.
@@ -34,7 +34,7 @@ _SHARES = (0.97, 0.9, 0.8, 0.65, 0.5, 0.3, 0.15)
 
 
 #: First cells of the box together, cells at most, rounds of halving.
-_CELLS, _MOST_CELLS, _ROUNDS = 256, 60_000, 20
+_CELLS, _MOST_CELLS, _ROUNDS = 256, 20_000, 20
 
 
 #: Of the level that is proved: what is claimed, so that other arithmetic can confirm it.

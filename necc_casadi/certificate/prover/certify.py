@@ -35,6 +35,7 @@ from necc_casadi.certificate.prover.measurement import prove_measurement
 from necc_casadi.certificate.prover.region.proof import RegionProof
 from necc_casadi.certificate.prover.region.region import prove_region, prove_region_within_limits
 from necc_casadi.certificate.prover.sampled.prove import prove_sampled
+from necc_casadi.certificate.prover.setpoints import prove_setpoints
 from necc_casadi.certificate.prover.solutions import what_follows
 from necc_casadi.certificate.prover.vanishing_damping import prove_slow_attraction
 from necc_casadi.designs.design import Design
@@ -195,7 +196,7 @@ def _extended(
         claims += [_limits_claim(design, proof), _clipping_claim(design, proof)]
     claims.append(_global_claim(everywhere))
     integral = prove_integral(design, plants)
-    claims += [] if integral is None else [integral]
+    claims += [claim for claim in (integral, prove_setpoints(design)) if claim is not None]
     found = replace(
         certificate,
         claims=(*certificate.claims, *claims),

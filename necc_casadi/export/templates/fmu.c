@@ -10,6 +10,9 @@
 #include <string.h>
 
 #define GUID "@guid@"
+#if NECC_HAS_TARGET
+#define TARGETS (NECC_NX + NECC_NU + NECC_NXI) /* value reference of the first; no zeta, no margin */
+#endif
 
 #if defined(_WIN32)
 #define EXPORT __declspec(dllexport)
@@ -42,6 +45,9 @@ typedef struct {
 typedef struct {
     necc_state state;
     necc_real x[NECC_NX];
+#if NECC_HAS_TARGET
+    necc_real target[NECC_NR]; /* commanded; the state has the one that is applied */
+#endif
     int flags;
     int start_at_minimum;
     void *(*allocate)(size_t, size_t);
@@ -55,6 +61,9 @@ static void set_defaults(instance *self)
     self->start_at_minimum = @start_at_minimum@;
     self->flags = NECC_OK;
     necc_init(&self->state);
+#if NECC_HAS_TARGET
+    necc_get_target(&self->state, self->target);
+#endif
 }
 
 FUNCTION(fmi2String, fmi2GetTypesPlatform, void) { return "default"; }
@@ -131,7 +140,11 @@ FUNCTION(fmi2Status, fmi2DoStep, fmi2Component c, fmi2Real time, fmi2Real h, fmi
     instance *self = c;
     necc_real u[NECC_NU];
     (void)time, (void)no_way_back;
-    self->flags = necc_step(&self->state, self->x, u, (necc_real)h);
+    self->flags = NECC_OK;
+#if NECC_HAS_TARGET
+    self->flags |= necc_set_target(&self->state, self->x, self->target);
+#endif
+    self->flags |= necc_step(&self->state, self->x, u, (necc_real)h);
     return self->flags & NECC_REJECTED ? fmi2Warning : fmi2OK;
 }
 
@@ -165,6 +178,10 @@ FUNCTION(fmi2Status, fmi2GetReal, fmi2Component c, const fmi2ValueReference vr[]
         else if (r == NECC_NX + NECC_NU + NECC_NXI)
             value[i] = (double)necc_margin(self->x, self->state.xi);
 #endif
+#if NECC_HAS_TARGET
+        else if (r >= TARGETS && r < TARGETS + NECC_NR)
+            value[i] = (double)self->target[r - TARGETS];
+#endif
         else
             return fmi2Error;
     }
@@ -177,6 +194,12 @@ FUNCTION(fmi2Status, fmi2SetReal, fmi2Component c, const fmi2ValueReference vr[]
     instance *self = c;
     size_t i;
     for (i = 0; i < n; ++i) {
+#if NECC_HAS_TARGET
+        if (vr[i] >= TARGETS && vr[i] < TARGETS + NECC_NR) {
+            self->target[vr[i] - TARGETS] = (necc_real)value[i];
+            continue;
+        }
+#endif
         if (vr[i] >= NECC_NX)
             return fmi2Error;
         self->x[vr[i]] = (necc_real)value[i];

@@ -66,10 +66,11 @@ static int all_finite(const necc_real *v, int count)
 
 @saturation@
 @integral@
+@seen@
 void necc_init(necc_state *state)
 {
     static const necc_real xi[NECC_NXI] = {@xi_star@};
-    memcpy(state->xi, xi, sizeof xi);@reset@
+    memcpy(state->xi, xi, sizeof xi);@reset@@reset_target@
 }
 
 @init_at@
@@ -80,11 +81,11 @@ int necc_start(necc_state *state, const necc_real x0[NECC_NX])
 
 int necc_step(necc_state *state, const necc_real x[NECC_NX], necc_real u[NECC_NU], necc_real dt)
 {
-    necc_real v[NECC_NU], next[NECC_NXI];@counter@
+    necc_real v[NECC_NU], next[NECC_NXI];@counter@@held@
     memset(u, 0, NECC_NU * sizeof *u);
     if (!(dt >= R(0.0)) || !all_finite(x, NECC_NX) || !all_finite(state->xi, NECC_NXI))
         return NECC_REJECTED;
-    advance(x, state->xi, dt, v, next);@subtract@
+    @see@advance(@at@, state->xi, dt, v, next);@subtract@@forward@
     if (!all_finite(v, NECC_NU) || !all_finite(next, NECC_NXI))
         return NECC_REJECTED;
     memcpy(state->xi, next, sizeof next);@integrate@
@@ -92,4 +93,5 @@ int necc_step(necc_state *state, const necc_real x[NECC_NX], necc_real u[NECC_NU
     return @saturate@;
 }
 
+@target@
 @margin@

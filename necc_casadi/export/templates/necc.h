@@ -17,6 +17,7 @@
 #define NECC_NXI @nc@ /* controller states */
 #define NECC_NU @m@ /* inputs */
 #define NECC_HAS_INTEGRAL @has_integral@
+@has_target@
 @margin_constants@
 @sample_define@@sampling@
 
@@ -32,7 +33,7 @@ extern "C" {
 typedef @real@ necc_real;
 
 typedef struct {
-    necc_real xi[NECC_NXI];@zeta@
+    necc_real xi[NECC_NXI];@zeta@@r@
 } necc_state;
 
 /* Flags that a function returns, added; 0 when there is nothing to report. */
@@ -63,6 +64,7 @@ void necc_control(const necc_real x[NECC_NX], const necc_real xi[NECC_NXI],
  * that a clipped u does not wind them up. */
 int necc_step(necc_state *state, const necc_real x[NECC_NX], necc_real u[NECC_NU], necc_real dt);
 
+@set_target@
 @margin@
 
 #ifdef __cplusplus

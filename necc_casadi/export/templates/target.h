@@ -1,0 +1,9 @@
+/* Move the set-point towards r, coordinate by coordinate in the order of x: NECC_OK, it is r;
+ * NECC_LIMITED, it is moved as far as the proof allows from the measured x, call again; NECC_REFUSED,
+ * it stays; NECC_OUTSIDE, r is outside its range and nothing changes. xi is kept, u jumps by the
+ * force that holds r. At any r that is taken V is below the level of the certificate, for every
+ * sequence of commands; coordinates that do not move have one value. */
+int necc_set_target(necc_state *state, const necc_real x[NECC_NX], const necc_real r[NECC_NR]);
+
+/* The set-point that is applied. */
+void necc_get_target(const necc_state *state, necc_real r[NECC_NR]);

@@ -1,0 +1,161 @@
+"""Set-points that move in C: taken, limited or refused, and never beyond the proved level."""
+
+import subprocess
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import sympy as sp
+from helpers.export_cases import COMPILERS, STRICT
+from helpers.velocity import pendulum
+
+from necc_casadi.certificate.prover.certify import certify
+from necc_casadi.export.controller import controller
+from necc_casadi.export.header import header
+from necc_casadi.export.source import Source
+
+ATTACK = """
+#include "necc.c"
+#include <stdio.h>
+#include <stdlib.h>
+
+/* The same test as the code's, with V over the level as a number. */
+static double share(const necc_real x[], const necc_real xi[], const necc_real r[])
+{
+    necc_real at[NECC_NX], E[1];
+    shape_terms s;
+    seen(x, r, at);
+    shape(at, xi, &s);
+    energy_above(x, r, E);
+    return (double)((E[0] + s.value - (REST)) / (LEVEL));
+}
+
+int main(int argc, char **argv)
+{
+    necc_state state;
+    necc_real x[2] = {R(0.75), 0}, u[1], r[1], now[1];
+    double worst = 0, gap = 0;
+    long counts[4] = {0}, k;
+    int flags;
+    (void)argc;
+    srand((unsigned)atoi(argv[1]));
+    necc_init(&state);
+    r[0] = R(0.75);
+    for (k = 0; k < 100000; ++k) {
+        if (k % 400 == 0) /* a command anywhere in the range, or beyond it */
+            r[0] = (necc_real)(-2.2 + 4.4 * rand() / RAND_MAX);
+        if (k > 98000)
+            r[0] = R(-1.5);
+        flags = necc_set_target(&state, x, r);
+        ++counts[flags == NECC_OK ? 0 : flags == NECC_LIMITED ? 1 : flags == NECC_REFUSED ? 2 : 3];
+        necc_get_target(&state, now);
+        if (share(x, state.xi, now) > worst)
+            worst = share(x, state.xi, now);
+        if (necc_step(&state, x, u, STEP) & NECC_REJECTED)
+            return 2;
+        for (int i = 0; i < 10; ++i) { /* the pendulum */
+            x[1] += STEP / 10 * (u[0] - SIN(x[0]) - R(0.1) * x[1]);
+            x[0] += STEP / 10 * x[1];
+        }
+    }
+    gap = fabs((double)x[0] + 1.5);
+    printf("%.17g %.3g %ld %ld %ld %ld\\n", worst, gap, counts[0], counts[1], counts[2], counts[3]);
+    return 0;
+}
+"""
+
+
+@pytest.fixture(scope="module")
+def moving():
+    """A pendulum that is weakly held, so that large steps are beyond the level."""
+    made = replace(pendulum(), setpoints={"q": (sp.Integer(-2), sp.Integer(2))})
+    certificate = certify(made)
+    claim = next(c for c in certificate.claims if c.name == "setpoints")
+    data = {**claim.data, "level": claim.data["level"] / 16}  # a proof of less, to be met often
+    claims = tuple(replace(c, data=data) if c is claim else c for c in certificate.claims)
+    return made, replace(certificate, claims=claims)
+
+
+def build(moving, folder, name, code, real="double"):
+    made, certificate = moving
+    source = Source(made, certificate=certificate, real=real)
+    for file, text in (("necc.h", header(source)), ("necc.c", controller(source))):
+        (folder / file).write_text(text, encoding="utf-8")
+    (folder / f"{name}.c").write_text(code, encoding="utf-8")
+    text = (folder / "necc.c").read_text(encoding="utf-8")
+    rest, level = text.split("return E[0] + s.value - ")[1].split(";")[0].split(" <= ")
+    suffix = "f" if real == "float" else ""
+    words = {"REST": rest, "LEVEL": level, "STEP": f"0.01{suffix}", "SIN": f"sin{suffix}"}
+    defines = [f"-D{name}={value}" for name, value in words.items()]
+    command = [COMPILERS[0], "-std=c99", "-O1", "-Wall", *defines, f"{name}.c", "-o", name, "-lm"]
+    subprocess.run(command, cwd=folder, check=True)
+
+
+@pytest.mark.parametrize("real", ["double", "float"])
+def test_no_sequence_of_commands_leaves_the_level(moving, tmp_path, real):
+    """10⁵ samples with a new command every 4 s; V is never above the level, and commands arrive."""
+    build(moving, tmp_path, "attack", ATTACK, real)
+    counts = np.zeros(4)
+    for seed in range(3):
+        run = subprocess.run(
+            ["./attack", str(seed)], cwd=tmp_path, check=True, capture_output=True, text=True
+        )
+        worst, gap, *found = (float(v) for v in run.stdout.split())
+        assert worst <= 1 + {"double": 1e-9, "float": 1e-3}[real]
+        assert worst > 0.9  # the level is met
+        assert gap < {"double": 1e-3, "float": 1e-2}[real]
+        counts += found
+    assert np.all(counts[[0, 1, 3]] > 100)
+    assert counts.sum() == 300_000
+
+
+def test_each_answer_of_the_function(moving, tmp_path):
+    code = """
+    #include "necc.c"
+    #include <stdio.h>
+    int main(void)
+    {
+        necc_state s;
+        const necc_real x[2] = {0.75, 0}, far[2] = {0.75, 50}, bad[2] = {0.75, NAN};
+        const necc_real near[1] = {0.8}, away[1] = {-2}, out[1] = {2.5}, none[1] = {NAN};
+        necc_real r[1], u[1];
+        necc_init(&s);
+        printf("%d ", necc_set_target(&s, x, near));
+        necc_get_target(&s, r);
+        printf("%.6g ", r[0]);
+        printf("%d ", necc_set_target(&s, x, away));
+        necc_get_target(&s, r);
+        printf("%d ", r[0] < 0.75 && r[0] > -2);
+        printf("%d ", necc_set_target(&s, far, near));
+        printf("%d ", necc_set_target(&s, x, out));
+        printf("%d %d ", necc_set_target(&s, x, none), necc_set_target(&s, bad, near));
+        necc_init(&s);
+        necc_get_target(&s, r);
+        printf("%.6g ", r[0]);
+        s.r[0] = 1.25;
+        {
+            const necc_real there[2] = {1.25, 0};
+            necc_step(&s, there, u, 0.01);
+        }
+        printf("%.12g\\n", u[0]);
+        return 0;
+    }
+    """
+    build(moving, tmp_path, "answers", code)
+    run = subprocess.run(["./answers"], cwd=tmp_path, check=True, capture_output=True, text=True)
+    words = run.stdout.split()
+    assert words[:9] == ["0", "0.8", "16", "1", "32", "8", "2", "2", "0.75"]
+    assert float(words[9]) == pytest.approx(np.sin(1.25), abs=1e-12)  # what holds it there
+
+
+def test_strict_compilers_take_it_and_the_header_says_it(moving, tmp_path):
+    made, certificate = moving
+    source = Source(made, certificate=certificate)
+    for file, text in (("necc.h", header(source)), ("necc.c", controller(source))):
+        (tmp_path / file).write_text(text, encoding="utf-8")
+    for compiler in COMPILERS:
+        subprocess.run([compiler, *STRICT, "-c", "necc.c"], cwd=tmp_path, check=True)
+    assert "#define NECC_HAS_TARGET 1" in header(source)
+    plain = header(Source(replace(made, setpoints={})))
+    assert "NECC_HAS_TARGET 0" in plain
+    assert "necc_set_target" not in plain
