@@ -50,11 +50,10 @@ int main(int argc, char **argv)
     necc_start(&state, x);
     printf("@columns@\n");
     for (step = 0; step < steps; ++step) {
-        const necc_state before = state;
-        flags = necc_step(&state, x, u, SAMPLE_TIME);
+        flags = necc_step(&state, x, u, step == 0 ? @zero@ : SAMPLE_TIME);
         printf("%.9g", (double)step * (double)SAMPLE_TIME);
         print_row(x, NECC_NX);
-        print_row(before.xi, NECC_NXI);
+        print_row(state.xi, NECC_NXI);
         print_row(u, NECC_NU);
         printf(",%d\n", flags);
         plant_step(x, u, SAMPLE_TIME);
