@@ -31,6 +31,9 @@ __all__ = [
 ]
 
 
+_REJECTED = 2  # NECC_REJECTED
+
+
 _REMEDY = "Install gcc or clang, or name one in the environment variable CC."
 
 
@@ -53,32 +56,57 @@ class CompiledController:
 
     def init(self) -> Vector:
         """``necc_init``: ξ at the designed equilibrium, (nc,)."""
-        xi = self._state(())
-        self._function("init")(xi)
-        return np.array(xi, float)[: self.nc]
+        state = self._state(())
+        self._function("init")(state)
+        return np.array(state, float)[: self.nc]
 
     def init_at(self, x0: Sequence[float]) -> tuple[Vector, int]:
         """``necc_init_at``: plant state (n,) -> ξ at the minimum of V(x0, ·), (nc,), flags."""
-        xi = self._state(())
-        flags = self._function("init_at")(xi, self._array(x0, self.n))
-        return np.array(xi, float)[: self.nc], int(flags)
+        return self._started("init_at", x0)
 
     def start(self, x0: Sequence[float]) -> tuple[Vector, int]:
         """``necc_start``: plant state (n,) -> ξ(0) of the design, (nc,), flags."""
-        xi = self._state(())
-        flags = self._function("start")(xi, self._array(x0, self.n))
-        return np.array(xi, float)[: self.nc], int(flags)
+        return self._started("start", x0)
+
+    def samples(
+        self, xi: Sequence[float], xs: Sequence[Sequence[float]], dts: Sequence[float]
+    ) -> tuple[Vector, Vector, list[int]]:
+        """``necc_step`` at each of N samples.
+
+        Parameters
+        ----------
+        xi
+            ξ at the first sample, (nc,); with integral action ζ may stand behind it.
+        xs
+            What is measured, (N, n).
+        dts
+            Seconds since the sample before, (N,); the first counts for nothing.
+
+        Returns
+        -------
+        tuple
+            u (N, m), ξ that u is computed with, and ζ where it was given, (N, nc), flags.
+        """
+        state, us, xis, flags = self._state(xi), [], [], []
+        for x, dt in zip(xs, dts, strict=True):
+            u = (self.real * self.m)()
+            arguments = (state, self._array(x, self.n), u, self.real(dt))
+            flags.append(int(self._function("step")(*arguments)))
+            us.append(list(u))
+            xis.append(list(state)[: len(xi)])
+        return np.array(us, float), np.array(xis, float), flags
 
     def step(
         self, xi: Sequence[float], x: Sequence[float], dt: float
     ) -> tuple[Vector, Vector, int]:
-        """``necc_step``: ξ (nc,), measured x (n,), dt in s -> u (m,), next ξ (nc,), flags.
+        """A sample and the next, dt (s) later at the same x: u (m,) at the first, ξ (nc,), flags.
 
-        With integral action ζ may stand behind ξ, and then it does so in what comes back.
+        With integral action ζ may stand behind ξ, and then it does so in what comes back. Where
+        either is rejected: what that one returns.
         """
-        state, u = self._state(xi), (self.real * self.m)()
-        flags = self._function("step")(state, self._array(x, self.n), u, self.real(dt))
-        return np.array(u, float), np.array(state, float)[: len(xi)], int(flags)
+        us, xis, flags = self.samples(xi, [x, x], [0, dt])
+        rejected = next((k for k, flag in enumerate(flags) if flag & _REJECTED), 0)
+        return us[rejected], xis[1], flags[rejected]
 
     def margin(self, x: Sequence[float], xi: Sequence[float]) -> float | None:
         """``necc_margin`` at (x, ξ), from 0 on in Ω; None where the code has none."""
@@ -88,9 +116,15 @@ class CompiledController:
         function.restype = self.real
         return float(function(self._array(x, self.n), self._array(xi, self.nc)))
 
+    def _started(self, name: str, x0: Sequence[float]) -> tuple[Vector, int]:
+        state = self._state(())
+        flags = self._function(name)(state, self._array(x0, self.n))
+        return np.array(state, float)[: self.nc], int(flags)
+
     def _state(self, kept: Sequence[float]) -> Any:
-        """Memory for ``necc_state``: ξ, and room for ζ behind it."""
-        return (self.real * (self.nc + self.m + self.n))(*(float(v) for v in kept))
+        """Memory for ``necc_state`` before its first sample: ξ, ζ, then what is not looked at."""
+        room = 2 * (self.nc + self.m + self.n) + 4
+        return (self.real * room)(*(float(v) for v in kept))
 
     def _function(self, name: str) -> Any:
         return getattr(self.library, f"{self.prefix}_{name}")

@@ -61,20 +61,21 @@ def controller(source: Source) -> str:
 
 
 def _integral(source: Source) -> dict[str, str]:
-    """What integral action adds: its code, ζ at the start, off u, and after a sample."""
+    """What integral action adds: its code, and ζ before, in and after a sample."""
     design, real = source.design, source.number
     if design.integral is None:
-        return dict.fromkeys(("integral", "reset", "counter", "subtract", "integrate"), "")
+        return dict.fromkeys(("integral", "counter", "keep", "integrate", "subtract", "store"), "")
     x, q_star = ca.SX.sym("x", source.n), design.z_star[: source.n // 2]
     rate = integral_rate(design.lyapunov, design.integral, q_star, measured=True)
     leaf = c_function("integral_rate", [("x", x)], [("rate", rate(x))], real)
     code = fill("integral.c", leaf=leaf, limit=real.literals(design.integral.limit))
     return {
         "integral": code,
-        "reset": "\n    memset(state->zeta, 0, sizeof state->zeta);",
-        "counter": "\n    int i;",
-        "subtract": "\n    for (i = 0; i < NECC_NU; ++i)\n        v[i] -= state->zeta[i];",
-        "integrate": "\n    integrate(x, dt, state->zeta);",
+        "counter": "\n    necc_real zeta[NECC_NU];\n    int i;",
+        "keep": "\n    memcpy(zeta, state->zeta, sizeof zeta);",
+        "integrate": "\n        integrate(state->x, dt, zeta);",
+        "subtract": "\n    for (i = 0; i < NECC_NU; ++i)\n        v[i] -= zeta[i];",
+        "store": "\n    memcpy(state->zeta, zeta, sizeof zeta);",
     }
 
 

@@ -42,6 +42,7 @@ def demonstration(source: Source) -> str:
         rk4_fractions=real.literals((0, 0.5, 0.5, 1)),
         rk4_weights=real.literals((1, 2, 2, 1)),
         six=real.literal(6),
+        zero=real.literal(0),
         digits=9 if real.suffix else 17,
         x_start=real.literals(_start(source)),
         steps=_STEPS,

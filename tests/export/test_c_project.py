@@ -158,6 +158,33 @@ def test_negative_dt_and_overflow_are_rejected_and_zero_dt_keeps_the_state(contr
     assert u == controller.control([0.1, 0.2], [0.3])[0]
 
 
+@pytest.mark.parametrize("method", [euler, heun, rk4])
+def test_xi_advances_over_the_period_that_has_passed_with_the_x_of_its_start(method):
+    """Periods of any length, one after another: ξ moves over each with the plant, never ahead."""
+    d = design(arm_loop(), Form(Network(2, (5,)), Network(2, (9,))))
+    compiled = compile_controller(d, integrator=method.__name__, flags=STRICT)
+    rng = np.random.default_rng(1)
+    xs, dts = rng.normal(size=(30, 4)), rng.uniform(1e-4, 0.1, 30)
+    us, xis, flags = compiled.samples(d.xi_star, xs, dts)
+    assert not any(flags)
+    xi = np.array(d.xi_star)
+    for k, x in enumerate(xs):
+        if k > 0:
+            before = xs[k - 1]
+            xi = method(lambda s, before=before: d.control(before, s)[1], xi, dts[k])
+        np.testing.assert_allclose(xis[k], xi, rtol=0, atol=1e-11)
+        np.testing.assert_allclose(us[k], d.control(x, xi)[0], rtol=0, atol=1e-10)
+
+
+def test_the_first_dt_counts_for_nothing_and_a_rejected_call_is_no_sample(controller):
+    bad = [math.nan, 0.2]
+    us, xis, flags = controller.samples([0.3], [[0.1, 0.2], bad, [0.4, 0.0]], [5.0, 0.01, 0.03])
+    assert flags == [0, REJECTED, 0]
+    assert [*xis[0], *xis[1], *us[1]] == [0.3, 0.3, 0]
+    plain = controller.samples([0.3], [[0.1, 0.2], [0.4, 0.0]], [0, 0.03])
+    assert [*us[2], *xis[2]] == [*plain[0][1], *plain[1][1]]
+
+
 @given(st.lists(st.floats(-1e300, 1e300), min_size=3, max_size=3))
 def test_huge_and_denormal_inputs_give_finite_output_or_a_status(controller, z):
     u, after, flags = controller.step(z[2:], z[:2], 1e-3)

@@ -46,12 +46,14 @@ int main(int argc, char **argv)
             r[0] = (necc_real)(-2.2 + 4.4 * rand() / RAND_MAX);
         if (k > 98000)
             r[0] = R(-1.5);
+        if (necc_step(&state, x, u, STEP) & NECC_REJECTED)
+            return 2;
         flags = necc_set_target(&state, x, r);
         ++counts[flags == NECC_OK ? 0 : flags == NECC_LIMITED ? 1 : flags == NECC_REFUSED ? 2 : 3];
         necc_get_target(&state, now);
         if (share(x, state.xi, now) > worst)
             worst = share(x, state.xi, now);
-        if (necc_step(&state, x, u, STEP) & NECC_REJECTED)
+        if (necc_step(&state, x, u, 0) & NECC_REJECTED)
             return 2;
         for (int i = 0; i < 10; ++i) { /* the pendulum */
             x[1] += STEP / 10 * (u[0] - SIN(x[0]) - R(0.1) * x[1]);

@@ -1,7 +1,7 @@
 /* fmu.c: the controller of necc.h as an FMI 2.0 co-simulation unit.
  *
  * Inputs x, outputs u, xi, the margin (see necc.h) and flags. u follows x at once: it is the law at the present x and xi.
- * fmi2DoStep(h) is one necc_step with dt = h. Value references: x, u, xi, margin; Integer 0 is
+ * fmi2DoStep(h) is one necc_step, with dt what passed since the last; xi is that of the present. Value references: x, u, xi, margin; Integer 0 is
  * flags; Boolean 0 tells whether xi starts at the minimum of V(x, .); if not, it starts @otherwise@.
  */
 #include "necc.h"
@@ -48,6 +48,7 @@ typedef struct {
 #if NECC_HAS_TARGET
     necc_real target[NECC_NR]; /* commanded; the state has the one that is applied */
 #endif
+    necc_real since; /* the last sample, s */
     int flags;
     int start_at_minimum;
     void *(*allocate)(size_t, size_t);
@@ -59,6 +60,7 @@ static void set_defaults(instance *self)
     static const necc_real x[NECC_NX] = {@x_star@};
     memcpy(self->x, x, sizeof x);
     self->start_at_minimum = @start_at_minimum@;
+    self->since = 0;
     self->flags = NECC_OK;
     necc_init(&self->state);
 #if NECC_HAS_TARGET
@@ -135,24 +137,41 @@ FUNCTION(fmi2Status, fmi2Reset, fmi2Component c)
     return fmi2OK;
 }
 
+/* One sample of a state at the present x; where set-points move, for the one that is applied. */
+static int sample(const instance *self, necc_state *state, necc_real u[NECC_NU])
+{
+    int flags = necc_step(state, self->x, u, self->since);
+#if NECC_HAS_TARGET
+    if (!(flags & NECC_REJECTED)) {
+        flags = necc_set_target(state, self->x, self->target);
+        if (flags & NECC_REJECTED)
+            flags = NECC_OUTSIDE; /* a command that is no number */
+        flags |= necc_step(state, self->x, u, (necc_real)0);
+    }
+#endif
+    return flags;
+}
+
 FUNCTION(fmi2Status, fmi2DoStep, fmi2Component c, fmi2Real time, fmi2Real h, fmi2Boolean no_way_back)
 {
     instance *self = c;
     necc_real u[NECC_NU];
     (void)time, (void)no_way_back;
-    self->flags = NECC_OK;
-#if NECC_HAS_TARGET
-    self->flags |= necc_set_target(&self->state, self->x, self->target);
-#endif
-    self->flags |= necc_step(&self->state, self->x, u, (necc_real)h);
-    return self->flags & NECC_REJECTED ? fmi2Warning : fmi2OK;
+    self->flags = sample(self, &self->state, u);
+    if (self->flags & NECC_REJECTED) {
+        self->since += (necc_real)h;
+        return fmi2Warning;
+    }
+    self->since = (necc_real)h;
+    return fmi2OK;
 }
 
-/* The input at the present x and xi, within its limits. */
-static void present_input(const instance *self, necc_real u[NECC_NU])
+/* The present state, and the input there, within its limits. */
+static necc_state present(const instance *self, necc_real u[NECC_NU])
 {
-    necc_state copy = self->state;
-    (void)necc_step(&copy, self->x, u, (necc_real)0);
+    necc_state now = self->state;
+    (void)sample(self, &now, u);
+    return now;
 }
 
 FUNCTION(fmi2Status, fmi2GetReal, fmi2Component c, const fmi2ValueReference vr[], size_t n,
@@ -160,8 +179,8 @@ FUNCTION(fmi2Status, fmi2GetReal, fmi2Component c, const fmi2ValueReference vr[]
 {
     const instance *self = c;
     necc_real u[NECC_NU];
+    const necc_state now = present(self, u);
     size_t i;
-    present_input(self, u);
     for (i = 0; i < n; ++i) {
         const fmi2ValueReference r = vr[i];
         if (r < NECC_NX)
@@ -169,14 +188,14 @@ FUNCTION(fmi2Status, fmi2GetReal, fmi2Component c, const fmi2ValueReference vr[]
         else if (r < NECC_NX + NECC_NU)
             value[i] = (double)u[r - NECC_NX];
         else if (r < NECC_NX + NECC_NU + NECC_NXI)
-            value[i] = (double)self->state.xi[r - NECC_NX - NECC_NU];
+            value[i] = (double)now.xi[r - NECC_NX - NECC_NU];
 #if NECC_HAS_INTEGRAL
         else if (r < NECC_NX + 2 * NECC_NU + NECC_NXI)
-            value[i] = (double)self->state.zeta[r - NECC_NX - NECC_NU - NECC_NXI];
+            value[i] = (double)now.zeta[r - NECC_NX - NECC_NU - NECC_NXI];
 #endif
 #if NECC_HAS_MARGIN
         else if (r == NECC_NX + NECC_NU + NECC_NXI)
-            value[i] = (double)necc_margin(self->x, self->state.xi);
+            value[i] = (double)necc_margin(self->x, now.xi);
 #endif
 #if NECC_HAS_TARGET
         else if (r >= TARGETS && r < TARGETS + NECC_NR)

@@ -1,13 +1,11 @@
-/* Heun's method for xi with x held; v is the input at the start. */
-static void advance(const necc_real x[NECC_NX], const necc_real xi[NECC_NXI], necc_real dt,
-                    necc_real v[NECC_NU], necc_real next[NECC_NXI])
+/* Heun's method for xi over dt, the x of the last sample held. */
+static void advance(const necc_state *s, necc_real dt, necc_real next[NECC_NXI])
 {
-    necc_real k1[NECC_NXI], k2[NECC_NXI], unused[NECC_NU];
+    necc_real k2[NECC_NXI], unused[NECC_NU];
     int i;
-    necc_control(x, xi, v, k1);
     for (i = 0; i < NECC_NXI; ++i)
-        next[i] = xi[i] + dt * k1[i];
-    necc_control(x, next, unused, k2);
+        next[i] = s->xi[i] + dt * s->xidot[i];
+    necc_control(s->x, next, unused, k2);
     for (i = 0; i < NECC_NXI; ++i)
-        next[i] = xi[i] + dt * R(0.5) * (k1[i] + k2[i]);
+        next[i] = s->xi[i] + dt * R(0.5) * (s->xidot[i] + k2[i]);
 }

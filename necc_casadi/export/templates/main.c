@@ -53,13 +53,12 @@ int main(int argc, char **argv)
     necc_start(&state, y);
     printf("@columns@\n");
     for (step = 0; step < steps; ++step) {
-        const necc_state before = state;
-        flags = necc_step(&state, y, u, SAMPLE_TIME);
+        flags = necc_step(&state, y, u, step == 0 ? @zero@ : SAMPLE_TIME);
         printf("%.9g", (double)step * (double)SAMPLE_TIME);
         print_row(y, NECC_NX);
-        print_row(before.xi, NECC_NXI);
+        print_row(state.xi, NECC_NXI);
 #if NECC_HAS_INTEGRAL
-        print_row(before.zeta, NECC_NU);
+        print_row(state.zeta, NECC_NU);
 #endif
         print_row(u, NECC_NU);
         printf(",%d\n", flags);

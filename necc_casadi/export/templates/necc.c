@@ -70,7 +70,8 @@ static int all_finite(const necc_real *v, int count)
 void necc_init(necc_state *state)
 {
     static const necc_real xi[NECC_NXI] = {@xi_star@};
-    memcpy(state->xi, xi, sizeof xi);@reset@@reset_target@
+    memset(state, 0, sizeof *state);
+    memcpy(state->xi, xi, sizeof xi);@reset_target@
 }
 
 @init_at@
@@ -81,14 +82,21 @@ int necc_start(necc_state *state, const necc_real x0[NECC_NX])
 
 int necc_step(necc_state *state, const necc_real x[NECC_NX], necc_real u[NECC_NU], necc_real dt)
 {
-    necc_real v[NECC_NU], next[NECC_NXI];@counter@@held@
+    necc_real v[NECC_NU], next[NECC_NXI], rate[NECC_NXI];@counter@@held@
     memset(u, 0, NECC_NU * sizeof *u);
-    if (!(dt >= R(0.0)) || !all_finite(x, NECC_NX) || !all_finite(state->xi, NECC_NXI))
+    if (!(dt >= R(0.0)) || !isfinite(dt) || !all_finite(x, NECC_NX) || !all_finite(state->xi, NECC_NXI))
         return NECC_REJECTED;
-    @see@advance(@at@, state->xi, dt, v, next);@subtract@@forward@
-    if (!all_finite(v, NECC_NU) || !all_finite(next, NECC_NXI))
+    memcpy(next, state->xi, sizeof next);@keep@
+    if (state->sampled) {
+        advance(state, dt, next);@integrate@
+    }
+    @see@necc_control(@at@, next, v, rate);@subtract@@forward@
+    if (!all_finite(v, NECC_NU) || !all_finite(next, NECC_NXI) || !all_finite(rate, NECC_NXI))
         return NECC_REJECTED;
-    memcpy(state->xi, next, sizeof next);@integrate@
+    memcpy(state->xi, next, sizeof next);@store@
+    memcpy(state->x, @at@, sizeof state->x);
+    memcpy(state->xidot, rate, sizeof rate);
+    state->sampled = 1;
     memcpy(u, v, sizeof v);
     return @saturate@;
 }

@@ -9,7 +9,7 @@
 #ifndef NECC_H
 #define NECC_H
 
-#define NECC_INTERFACE 1 /* version of the functions below */
+#define NECC_INTERFACE 2 /* version of the functions below */
 #define NECC_DESIGN "@design_hash@"
 #define @guard@
 @certificate_define@
@@ -34,6 +34,9 @@ typedef @real@ necc_real;
 
 typedef struct {
     necc_real xi[NECC_NXI];@zeta@@r@
+    necc_real x[NECC_NX]; /* of the last sample, as the law takes it */
+    necc_real xidot[NECC_NXI]; /* at (x, xi) */
+    int sampled; /* 0 before the first sample */
 } necc_state;
 
 /* Flags that a function returns, added; 0 when there is nothing to report. */
@@ -59,9 +62,10 @@ int necc_start(necc_state *state, const necc_real x0[NECC_NX]);
 void necc_control(const necc_real x[NECC_NX], const necc_real xi[NECC_NXI],
                   necc_real u[NECC_NU], necc_real xidot[NECC_NXI]);
 
-/* One sample: u from the measured x and the present xi; then xi advances by dt with x held
- * (@integrator_name@). Apply u until the next sample. The dynamics of xi use x alone, so
- * that a clipped u does not wind them up. */
+/* One sample: xi advances over dt with the x of the last sample held (@integrator_name@),
+ * then u from the measured x and this xi. Apply u until the next sample. dt is the time since the
+ * last sample, 0 at the first, where nothing advances; a rejected call is no sample. The dynamics
+ * of xi use x alone, so that a clipped u does not wind them up. */
 int necc_step(necc_state *state, const necc_real x[NECC_NX], necc_real u[NECC_NU], necc_real dt);
 
 @set_target@

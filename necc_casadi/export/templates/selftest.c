@@ -42,6 +42,9 @@ static void check_vector(const necc_vector *v)
         state.xi[i] = v->xi[i];
     check(necc_step(&state, v->x, u, v->dt) == v->flags, "flags of necc_step");
     compare(u, v->input, v->u_scale, NECC_NU);
+    for (i = 0; i < NECC_NXI; ++i)
+        check(!(state.xi[i] < v->xi[i] || state.xi[i] > v->xi[i]), "xi kept by the first sample");
+    check(!(necc_step(&state, necc_vectors[0].x, u, v->dt) & NECC_REJECTED), "next sample");
     compare(state.xi, v->next, v->next_scale, NECC_NXI);
 }
 

@@ -18,9 +18,9 @@ typedef struct {
     double u[NECC_NU];         /* of necc_control */
     double xidot[NECC_NXI];    /* of necc_control */
     double input[NECC_NU];     /* of necc_step: u within its limits */
-    double next[NECC_NXI];     /* of necc_step: xi after dt */
+    double next[NECC_NXI];     /* xi at the next sample, dt later */
     double u_scale[NECC_NU], xidot_scale[NECC_NXI], next_scale[NECC_NXI];
-    int flags;                 /* of necc_step */
+    int flags;                 /* of necc_step at the first */
 } necc_vector;
 
 static const necc_vector necc_vectors[NECC_VECTORS] = {
