@@ -112,11 +112,11 @@ def affine_matrices(
     return made, count
 
 
-def negative_definite(A: Affine) -> Truth:
+def negative_definite(A: Affine, share: float = 1.0) -> Truth:
     """Whether every symmetric matrix enclosed is ≺ 0, (B,).
 
     C(−A₀)Cᵀ is close to I for a C near the inverse of a factor; A ≺ 0 where what is left is shorter
-    than 1: each Y = CAₖCᵀ by ‖Y‖₂⁴ ≤ ‖Y²‖_F², or all by the rows of Σ|Y|.
+    than 1, or a share of it: each Y = CAₖCᵀ by ‖Y‖₂⁴ ≤ ‖Y²‖_F², or all by the rows of Σ|Y|.
     """
     finite: Truth = np.asarray(np.isfinite(A.center + A.error).all((-1, -2)))
     finite = finite & np.isfinite(A.parts).all((-1, -2, -3))
@@ -138,4 +138,4 @@ def negative_definite(A: Affine) -> Truth:
     total = np.sqrt((apart**2).sum((-1, -2))) + spread.sum(-1).max(-1)
     total = total + np.minimum(lengths.sum(1), together)
     total = total + _ROUND * (size_C @ np.abs(safe) @ np.swapaxes(size_C, -1, -2)).sum((-1, -2))
-    return np.asarray(usable & (total * (1 + _ROUND) < 1), dtype=bool)
+    return np.asarray(usable & (total * (1 + _ROUND) < share), dtype=bool)

@@ -24,6 +24,8 @@ __all__ = ["Cover", "cover"]
 
 #: Boxes at once, and how often one is halved at most.
 _BATCH, _DEEPEST = 512, 40
+#: How close to its limit Π ≺ 0 may be, so that other arithmetic can confirm it.
+_EASED = 0.8
 #: Boxes after which one must have been proved: those near z̄ come first.
 _HOPELESS = 4000
 
@@ -131,7 +133,7 @@ def cover(
         reached = np.flatnonzero(lowest <= level)
         if len(reached):
             sample = step.over(Z[reached], s[reached])
-            falls = negative_definite(sample.form(Q)) & _within(sample.inputs, limits)
+            falls = negative_definite(sample.form(Q), _EASED) & _within(sample.inputs, limits)
             alone = _apart(sample.gradient) | _inside(Z[reached], core)
             alone &= ~_at_a_side(Z[reached], root)
             proved[reached], falls_on[reached] = falls & alone, falls
