@@ -236,8 +236,8 @@ def _judged(request: Request, say: Say) -> _Task:
     if request.integral is not False and found.chosen is not None:
         from necc_casadi.synthesis.integral import refuse_integral
 
-        method = found.chosen
-        refuse_integral(method.loop, method.casimirs.functions, options.phi == "sum")
+        held = found.chosen
+        refuse_integral(held.loop, held.casimirs.functions, options.phi == "sum")
     if found.chosen is not None and not is_plant:
         notes += check_model_at(found.chosen.loop, x_star)
     if found.published is not None:
