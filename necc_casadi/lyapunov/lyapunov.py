@@ -89,14 +89,16 @@ class Terms:
 def make_terms(loop: ClosedLoop, casimirs: Casimirs) -> Terms:
     """Translate a closed loop and its closed-form Casimirs for CasADi."""
     plant = loop.plant
+    H = casadi_function("H", plant.x, [plant.H])
+    grad_H = casadi_function("grad_H", plant.x, plant.grad_H)
     return Terms(
         n=plant.n,
         nc=loop.controller.nc,
         m=plant.m,
         channels=loop.channels,
         r=len(casimirs.functions),
-        H=casadi_function("H", plant.x, [plant.H]),
-        grad_H=casadi_function("grad_H", plant.x, plant.grad_H),
+        H=H,
+        grad_H=grad_H,
         c=casadi_function("c", loop.z, list(casimirs.functions)),
         drift=_drift(plant),
         directions=casadi_function("directions", plant.x, plant.directions),
@@ -108,12 +110,15 @@ def make_terms(loop: ClosedLoop, casimirs: Casimirs) -> Terms:
         slopes=casadi_function("slopes", plant.x, loop.slopes),
         own_structure=casadi_function("own_structure", loop.z, loop.own_structure),
         own_ports=casadi_function("own_ports", loop.z, loop.own_ports),
-        measured=_measured(plant),
+        measured=_measured(plant, H, grad_H),
     )
 
 
-def _measured(plant: Plant) -> MeasuredTerms:
+def _measured(plant: Plant, H: ca.Function, grad_H: ca.Function) -> MeasuredTerms:
     known = Measurement(plant)
+    if not known.of_velocities:
+        same = casadi_function("state", plant.x, plant.x)
+        return MeasuredTerms(same, same, H, grad_H)
     return MeasuredTerms(
         state=casadi_function("state", known.y, known.state),
         output=casadi_function("measure", plant.x, known.output),

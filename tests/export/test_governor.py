@@ -10,8 +10,8 @@ from helpers.velocity import pendulum
 from necc_casadi.certificate.prover.certify import certify
 from necc_casadi.designs.family import lift
 from necc_casadi.errors import OptionError
+from necc_casadi.export.governor import Governor
 from necc_casadi.model.ranges import Ranges
-from necc_casadi.simulation.governor import Governor
 
 
 @pytest.fixture(scope="module")
