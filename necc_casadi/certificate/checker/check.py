@@ -17,6 +17,7 @@ from necc_casadi.certificate.checker.contents import check_contents
 from necc_casadi.certificate.checker.decrease import check_decrease
 from necc_casadi.certificate.checker.equilibrium import check_equilibrium
 from necc_casadi.certificate.checker.evidence import Checked, Evidence
+from necc_casadi.certificate.checker.family import check_family
 from necc_casadi.certificate.checker.global_stability import check_global
 from necc_casadi.certificate.checker.input_limits import check_clipping, check_input_limits
 from necc_casadi.certificate.checker.model import StoredDesign
@@ -41,6 +42,7 @@ _UNREADABLE = (
     RecursionError,
     TypeError,
     ValueError,
+    OSError,
     binascii.Error,
     zlib.error,
 )
@@ -58,11 +60,15 @@ def check(folder: Path) -> tuple[Checked, ...]:
         design_text, stored, design = read_folder(folder)
         check_design(design)
         evidence = Evidence(StoredDesign(design), stored)
-        results = [_as_worded(evidence, result) for result in _everything(evidence)]
+        own = hashlib.sha256(design_text.encode()).hexdigest()
+        found = _everything(evidence)
+        if evidence.claimed("family"):
+            found.append(check_family(evidence, folder, own))
+        results = [_as_worded(evidence, result) for result in found]
         contents = check_contents(evidence, results)
     except _UNREADABLE as problem:
         raise unreadable(folder, problem) from None
-    same = evidence.certificate.design_hash == hashlib.sha256(design_text.encode()).hexdigest()
+    same = evidence.certificate.design_hash == own
     whole = design.get("model_hash") == model_hash(design)
     text = "the certificate is about this design.json, and its model is the one that was judged"
     if not (same and whole):
