@@ -109,8 +109,8 @@ __all__ = ["design_command"]
 @form_option(
     "--learn-casimir",
     is_flag=True,
-    help="Where closed forms are missing: a network C(z) that is a Casimir approximately. "
-    "Nothing is certified from it.",
+    help="Where closed forms of the published loop are missing: a network C(z) that is a Casimir "
+    "approximately. Nothing is certified from it.",
 )
 @form_option(
     "--phi",
@@ -215,9 +215,9 @@ def _design(model: Path, **options: Any) -> int:
 
     MODEL is a Python file that defines x, J, R, G and H with sympy. It is run as your own code.
 
-    --settle, --rate, --peak-u and --compare design for the least quadratic cost. Its weights are
-    state_cost and input_cost of MODEL, by default 1/size² of every state and input; a model that
-    has them is designed so, too.
+    --settle, --rate and --peak-u design for the least quadratic cost. Its weights are state_cost
+    and input_cost of MODEL, by default 1/size² of every state and input; a model that has them is
+    designed so, too. --compare measures the design that is made, whatever was asked.
 
     \b
     Examples:

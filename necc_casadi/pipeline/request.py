@@ -191,8 +191,26 @@ def _with_response(options: Options, request: Request, m: int) -> Options:
         )
     rate = request.rate if request.settle is None else _SETTLED / request.settle
     peak = None if request.peak_u is None else _peak(request.peak_u, m)
-    cost = options.least_cost or (request.compare and not request.paper)
-    return replace(options, rate=rate, peak_u=peak, least_cost=cost)
+    return replace(options, rate=rate, peak_u=peak)
+
+
+def read_method(request: Request, options: Options) -> MethodWord:
+    """The methods that are asked; a Casimir is learned for the published loop alone.
+
+    Raises
+    ------
+    OptionError
+        Another method is asked for beside --learn-casimir.
+    """
+    if not options.learn_casimir:
+        return request.method
+    if request.method not in ("auto", "interconnection"):
+        raise OptionError(
+            "usage",
+            f"--learn-casimir is about the published loop, --method {request.method} is another",
+            "Leave one of them out.",
+        )
+    return "interconnection"
 
 
 def _peak(values: tuple[float, ...], m: int) -> Vector:

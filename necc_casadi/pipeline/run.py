@@ -39,6 +39,7 @@ from necc_casadi.pipeline.advice import (
 from necc_casadi.pipeline.clock import Clock, Say
 from necc_casadi.pipeline.request import (
     Request,
+    read_method,
     read_model,
     read_options,
     read_target,
@@ -229,9 +230,8 @@ def _judged(request: Request, say: Say) -> _Task:
     notes = [*model.notes, *(check_model_at(model.loop, x_star) if is_plant else ())]
     if request.structure is not None:
         model = with_structure(model, request.structure, x_star)
-    found = find_method(
-        model, x_star, request.method, say, most=1 if request.check else _STRUCTURES
-    )
+    method = read_method(request, options)
+    found = find_method(model, x_star, method, say, most=1 if request.check else _STRUCTURES)
     if options.learn_casimir and found.learnable is not None:
         found = replace(found, chosen=found.learnable)
     if found.chosen is not None and not is_plant:

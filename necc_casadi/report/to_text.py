@@ -148,6 +148,8 @@ def brief(found: Findings) -> list[tuple[str, str]]:
     rows += method_rows(found.found)
     if found.design is not None and found.measures is not None:
         rows.append(("design", _brief_design(found, found.measures)))
+        if found.design.learned is not None:
+            rows.append(("learned", _learned(found.design.learned)))
     rows += _asked_rows(found)
     if found.performance is not None:
         rows += _compared_rows(found.performance, found.system)

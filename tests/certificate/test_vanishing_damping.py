@@ -196,7 +196,7 @@ H = (p1**2 + p2**2 + p3**2 + q1**2 + (q2 - q1) ** 2 + (q3 - q2) ** 2 + q3**2) / 
 def test_a_design_from_model_to_certificate(tmp_path):
     (tmp_path / "chain.py").write_text(MODEL, encoding="utf-8")
     out = tmp_path / "made"
-    options = ("--target=q1=1/2,q2=1,q3=1/2", f"--out={out}", "--no-plots", "--compare")
+    options = ("--target=q1=1/2,q2=1,q3=1/2", f"--out={out}", "--no-plots", "--compare", "-v")
     code, text, _ = command(tmp_path / "chain.py", *options, "--sample-time=0.01")
     assert code == 0
     assert "certified, asymptotically stable (at no proved rate)" in text.splitlines()[0]

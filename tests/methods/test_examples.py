@@ -93,7 +93,7 @@ def test_a_converter_is_held_with_clipped_duty_ratios_at_the_cost_of_lqr(tmp_pat
     assert kept.kept.cost_to_lqr < 1.2
     made, certificate = kept.design, kept.certificate
     rng = np.random.default_rng(0)
-    z = made.z_star + rng.uniform(-1, 1, (4000, 3)) * 2 * made.sizes.state
+    z = made.z_star + rng.uniform(-1, 1, (20000, 3)) * 2 * made.sizes.state
     inside = z[np.ravel(made.lyapunov.V(z)) <= certificate.level_u]
     u = np.array([made.control(row[:2], row[2:])[0] for row in inside]).ravel()
     assert len(u) > 50

@@ -53,6 +53,13 @@ def test_the_command_and_the_call_make_the_same_folder(tmp_path):
     assert Design.load(tmp_path / "b").hash == by_call.design.hash
 
 
+def test_a_comparison_changes_no_design(result):
+    assert result.design.hash == run(PENDULUM, "pi/4", paper=True).design.hash
+    compared = run(PENDULUM, "pi/4", compare=True, **SMALL)
+    assert compared.performance is not None
+    assert compared.design.hash == run(PENDULUM, "pi/4", **SMALL).design.hash
+
+
 def test_a_plant_of_a_notebook():
     q, p = sp.symbols("q p", real=True)
     J, G = sp.Matrix([[0, 1], [-1, 0]]), sp.Matrix([0, 1])

@@ -100,7 +100,7 @@ def offers(data) -> list[str]:
 
 @pytest.mark.slow
 def test_a_structure_that_helps_is_offered_and_taken(motor, tmp_path):
-    code, data = run(motor, "--check")
+    code, data = run(motor, "--check", "--method", "interconnection")
     assert (code, data["status"]) == (3, "refused")
     assert data["verdict"]["assignable"] is False
     assert offers(data) == ["resonator"]

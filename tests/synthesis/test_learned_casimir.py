@@ -128,7 +128,7 @@ def test_an_undecided_verdict_may_be_learned(warped_run, tmp_path):
     (tmp_path / "warped.py").write_text(WARPED)
     code, text, _ = design(
         tmp_path / "warped.py", "--target", "q=pi/4", "--json", "--no-plots",
-        "--out", tmp_path / "plain",
+        "--method=interconnection", "--out", tmp_path / "plain",
     )  # fmt: skip
     data = json.loads(text)
     assert (code, data["status"], data["verdict"]["reason"]) == (4, "undecided", "undecided")
@@ -144,4 +144,11 @@ def test_a_refused_target_is_not_learned(tmp_path):
     data = json.loads(text)
     assert (code, data["status"]) == (3, "refused")
     assert data["design"] is None
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_casimir_is_learned_for_the_published_loop_alone(tmp_path):
+    code, _, said = learn(PENDULUM, "pi/4", tmp_path / "out", "--method=shaping")
+    assert code == 2
+    assert "--learn-casimir is about the published loop" in said
     assert not (tmp_path / "out").exists()
