@@ -19,6 +19,7 @@ from necc_casadi.certificate.checker.contents import check_contents
 from necc_casadi.certificate.checker.decrease import check_decrease
 from necc_casadi.certificate.checker.equilibrium import check_equilibrium
 from necc_casadi.certificate.checker.evidence import Checked, Evidence
+from necc_casadi.certificate.checker.family import check_family
 from necc_casadi.certificate.checker.fed_momenta import check_momenta
 from necc_casadi.certificate.checker.global_stability import check_global
 from necc_casadi.certificate.checker.input_limits import check_clipping, check_input_limits
@@ -49,6 +50,7 @@ _UNREADABLE = (
     RecursionError,
     TypeError,
     ValueError,
+    OSError,
     binascii.Error,
     zlib.error,
 )
@@ -67,11 +69,15 @@ def check(folder: Path) -> tuple[Checked, ...]:
         check_design(design)
         evidence = Evidence(StoredDesign(design), stored)
         plant = partial(read_plant, folder, design_text)
-        results = [_as_worded(evidence, result) for result in _everything(evidence, plant)]
+        found = _everything(evidence, plant)
+        if evidence.claimed("family"):
+            own = hashlib.sha256(design_text.encode()).hexdigest()
+            found.append(check_family(evidence, folder, own))
+        results = [_as_worded(evidence, result) for result in found]
         contents = check_contents(evidence, results)
     except _UNREADABLE as problem:
         raise unreadable(folder, problem) from None
-    same = evidence.certificate.design_hash == hashlib.sha256(design_text.encode()).hexdigest()
+    same = evidence.certificate.design_hash == own
     whole = design.get("model_hash") == model_hash(design)
     text = "the certificate is about this design.json, and its model is the one that was judged"
     if not (same and whole):

@@ -51,6 +51,7 @@ class StoredInterconnection:
         Rc: sp.Matrix,
         Gc: sp.Matrix,
     ) -> None:
+        self.Jc, self.Rc, self.Gc = Jc, Rc, Gc
         coupling = G * Gc.T
         top, bottom = J.row_join(-coupling), coupling.T.row_join(Jc)
         self.Jcl, self.Rcl = sp.Matrix(top.col_join(bottom)), sp.diag(R, Rc)

@@ -58,6 +58,7 @@ class StoredDesign:
         self.form = data["form"]
         scale = self._scale = StoredUnits(data, len(self.z))
         self.units = scale.proof
+        self.input_units = scale.input
         S, U = rationals(scale.state), rationals(scale.input)
         E, T = rationals([scale.energy, scale.time])
         plant, inner = S[: self.n], S[self.n :]

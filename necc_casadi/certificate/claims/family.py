@@ -1,0 +1,72 @@
+"""What is claimed of a family, as data: boxes of parameters ϑ, and where V_ϑ has its minimum."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from necc_casadi.certificate.claims.fields import read_as
+from necc_casadi.certificate.claims.regions import Side
+
+__all__ = ["FAMILY_FILE", "FamilyBox", "FamilyClaim", "statement"]
+
+
+FAMILY_FILE = "family.json"
+
+
+@dataclass(frozen=True)
+class FamilyBox:
+    """For every ϑ of a box: V_ϑ has one critical point in `around`, and it lies in `minimum`."""
+
+    theta: tuple[Side, ...]  # in the units of the model
+    around: tuple[Side, ...]  # (N,) in natural units
+    minimum: tuple[Side, ...]  # (N,)
+
+
+@dataclass(frozen=True)
+class FamilyClaim:
+    """All of them; together the boxes cover the ranges."""
+
+    family: str  # SHA-256 of family.json
+    boxes: tuple[FamilyBox, ...]
+    error: Mapping[str, Side]  # of each plant state against its set-point, units of the model
+
+    @property
+    def data(self) -> dict[str, Any]:
+        """The entries of certificate.json."""
+        return asdict(self)
+
+    @classmethod
+    def read(cls, data: Mapping[str, Any]) -> FamilyClaim:
+        """The claim from these entries.
+
+        Raises
+        ------
+        KeyError, ValueError
+            When an entry is missing or has another type.
+        """
+        return read_as(cls, data)
+
+
+def statement(
+    ranges: Mapping[str, Side],
+    error: Mapping[str, Side],
+    units: Mapping[str, float],
+    measured: bool,
+) -> str:
+    """Of the whole family; `units` are natural ones of states, `measured`: y is no model's."""
+    over = ", ".join(f"{name} in [{lo:.6g}, {hi:.6g}]" for name, (lo, hi) in ranges.items())
+    moving = [name for name, (lo, hi) in error.items() if max(-lo, hi) > _ROUNDING * units[name]]
+    shown = ", ".join(f"{name} [{error[name][0]:.4g}, {error[name][1]:.4g}]" for name in moving)
+    far = f"; at rest the error of the set-point is within {shown}" if moving else ""
+    exact = "" if moving else ", the set-point itself but for rounding"
+    taken = ", with y measured and not computed from the model" if measured else ""
+    return (
+        f"for every {over}: V never increases along the continuous-time, unsaturated loop{taken}, "
+        f"and has a strict minimum{exact}, a stable equilibrium{far}"
+    )
+
+
+#: Errors below this, in natural units, are those of the arithmetic.
+_ROUNDING = 2.0**-30

@@ -1,0 +1,173 @@
+"""Families proved, checked, and attacked: true minima of random members, and altered claims."""
+
+import dataclasses
+import json
+from itertools import product
+
+import numpy as np
+import pytest
+import sympy as sp
+from helpers.problems import problem, solve
+
+from necc_casadi.certificate.checker.check import check
+from necc_casadi.certificate.prover.certify import certify
+from necc_casadi.certificate.prover.family import prove_family
+from necc_casadi.designs.family import lift
+from necc_casadi.model.model_file import load_model
+from necc_casadi.model.ranges import Ranges
+from necc_casadi.synthesis.options import Options
+
+S = sp.Rational
+
+PENDULUM = """
+import sympy as sp
+q, p, m, g = sp.symbols("q p m g")
+x = (q, p)
+J = sp.Matrix([[0, 1], [-1, 0]])
+R = sp.zeros(2, 2)
+G = sp.Matrix([0, 1])
+H = p**2 / (2 * m) + m * g * (1 - sp.cos(q))
+params = {m: 1, g: 1}
+"""
+
+RANGES = Ranges(
+    {"q": (S(-1, 2), S(1))},
+    {"m": (S(9, 10), S(11, 10)), "g": (S(19, 20), S(21, 20))},
+    ((S(-1, 20), S(1, 20)),),
+)
+
+
+@pytest.fixture(scope="module")
+def task(tmp_path_factory):
+    path = tmp_path_factory.mktemp("family") / "plant.py"
+    path.write_text(PENDULUM, encoding="utf-8")
+    return problem(load_model(path), "pi/4")
+
+
+@pytest.fixture(scope="module")
+def family(task):
+    made = solve(task, Options(convex=True))
+    return lift(made, RANGES, task.model.parametric)
+
+
+@pytest.fixture(scope="module")
+def claim(family):
+    return prove_family(family)
+
+
+@pytest.fixture(scope="module")
+def written(family, claim):
+    """What stands in the three files."""
+    certificate = certify(family.design, region=False)
+    whole = dataclasses.replace(certificate, claims=(*certificate.claims, claim))
+    return family.design.text, family.text, json.loads(whole.to_json())
+
+
+def checked(folder, design, family, certificate):
+    (folder / "design.json").write_text(design, encoding="utf-8")
+    (folder / "family.json").write_text(family, encoding="utf-8")
+    (folder / "certificate.json").write_text(json.dumps(certificate), encoding="utf-8")
+    return {result.name: result for result in check(folder)}
+
+
+def test_it_is_proved_and_checked(claim, written, tmp_path):
+    assert claim.holds, claim.statement
+    results = checked(tmp_path, *written)
+    assert all(result.holds for result in results.values()), results
+    assert results["family"].statement == claim.statement
+
+
+def test_true_minima_of_members_are_where_the_boxes_say(family, claim):
+    rng = np.random.default_rng(0)
+    boxes = [(np.array(b["theta"]), np.array(b["minimum"])) for b in claim.data["boxes"]]
+    lo, hi = claim.data["error"]["q"]
+    largest = 0.0
+    corners = product(*(map(float, p.range) for p in family.parameters))
+    inside = [[rng.uniform(*map(float, p.range)) for p in family.parameters] for _ in range(40)]
+    for theta in map(np.array, [*corners, *inside]):
+        named = dict(zip((p.name for p in family.parameters), theta, strict=True))
+        member = family.member(named)
+        z = member.z_bar
+        off = z[0] - member.z_star[0]
+        assert lo <= off <= hi
+        largest = max(largest, abs(off))
+        holding = [m for t, m in boxes if (t[:, 0] <= theta).all() and (theta <= t[:, 1]).all()]
+        assert holding
+        natural = z / member.units.state
+        assert all(((m[:, 0] <= natural) & (natural <= m[:, 1])).all() for m in holding)
+    assert max(-lo, hi) < 1.3 * largest
+
+
+def test_set_points_alone_are_held_exactly(task, family):
+    claim = prove_family(lift(family.design, Ranges({"q": (S(-5, 2), S(5, 2))})))
+    assert claim.holds
+    assert max(map(abs, claim.data["error"]["q"])) < 1e-9
+
+
+def test_where_no_minimum_is_nothing_is_claimed(task):
+    """A design that is as stiff as its target needs is not stiff enough near upright."""
+    soft = solve(task)
+    claim = prove_family(lift(soft, Ranges({"q": (S(0), sp.pi)})))
+    assert not claim.holds
+    assert "not for q in" in claim.statement
+
+
+def shrink(certificate):
+    """A smaller error than the boxes have, in the words of that error."""
+    data = family_claim(certificate)["data"]
+    data["error"]["q"] = [data["error"]["q"][0] / 2, data["error"]["q"][1] / 2]
+
+
+def drop(certificate):
+    """One box less."""
+    family_claim(certificate)["data"]["boxes"].pop()
+
+
+def move(certificate):
+    """The minimum elsewhere in one box."""
+    box = family_claim(certificate)["data"]["boxes"][0]
+    lo, hi = box["minimum"][0]
+    box["minimum"][0] = [v + (hi - lo) / 2 for v in (lo, hi)]
+
+
+def family_claim(certificate):
+    return next(c for c in certificate["claims"] if c["name"] == "family")
+
+
+@pytest.mark.parametrize("alter", [shrink, drop, move])
+def test_an_altered_claim_does_not_hold(alter, written, tmp_path):
+    design, family, certificate = written
+    certificate = json.loads(json.dumps(certificate))
+    alter(certificate)
+    assert not checked(tmp_path, design, family, certificate)["family"].holds
+
+
+@pytest.mark.parametrize(
+    ("entry", "change", "fault"),
+    [
+        ("H", lambda H: f"{H} + q**4", "the plant of the design"),
+        ("H", lambda H: f"{H} + (r_q - pi/4)*q**2", "seen from the set-point"),
+        ("feedforward", lambda u: [f"{u[0]} + r_q - pi/4"], "seen from the set-point"),
+        ("x_star", lambda x: ["2*r_q", "0"], "the target at r₀"),
+        ("R", lambda R: [["0", "0"], ["0", "m - 1"]], "R ⪰ 0"),
+    ],
+)
+def test_a_loop_that_is_not_of_the_plant_is_found_out(entry, change, fault, written, tmp_path):
+    import hashlib
+
+    design, family, certificate = written
+    data = json.loads(family)
+    data[entry] = change(data[entry])
+    text = json.dumps(data)
+    certificate = json.loads(json.dumps(certificate))
+    family_claim(certificate)["data"]["family"] = hashlib.sha256(text.encode()).hexdigest()
+    result = checked(tmp_path, design, text, certificate)["family"]
+    assert not result.holds
+    assert fault in result.statement
+
+
+def test_the_file_must_be_the_one_that_was_claimed_about(written, tmp_path):
+    design, family, certificate = written
+    result = checked(tmp_path, design, family + " ", certificate)["family"]
+    assert not result.holds
+    assert "family.json" in result.statement
