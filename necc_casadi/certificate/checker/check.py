@@ -70,8 +70,8 @@ def check(folder: Path) -> tuple[Checked, ...]:
         evidence = Evidence(StoredDesign(design), stored)
         plant = partial(read_plant, folder, design_text)
         found = _everything(evidence, plant)
+        own = hashlib.sha256(design_text.encode()).hexdigest()
         if evidence.claimed("family"):
-            own = hashlib.sha256(design_text.encode()).hexdigest()
             found.append(check_family(evidence, folder, own))
         results = [_as_worded(evidence, result) for result in found]
         contents = check_contents(evidence, results)
