@@ -34,7 +34,7 @@ _SETTLED = 0.02
 
 
 #: Error that a step allows, in natural units, and steps between two output times.
-_RELATIVE, _ABSOLUTE, _MOST_STEPS = 1e-8, 1e-10, 5000
+_RELATIVE, _ABSOLUTE, _MOST_STEPS = 1e-8, 1e-10, 1000
 
 
 @dataclass(frozen=True, eq=False)
