@@ -147,7 +147,8 @@ def _by_displacement(
     slopes = _slopes(loop, casimirs, x_star, xi)
     own = geometric_mean(local.periods) or geometric_mean(local.decays)
     energy = _energy(plant, given, local, known, own or 1.0, slopes)
-    state = _by_energy(local, known, energy)
+    # a coordinate that goes along stores nothing: the energy is that of its own displacement
+    state = _by_energy(local, _following(plant, given, local, known), energy)
     time = geometric_mean(local.periods) or geometric_mean(local.passages(state)) or own or 1.0
     state = _by_velocity(local, state, time)
     inputs = [
@@ -296,6 +297,7 @@ class _Local:
 
     slope: Vector  # (n,) |∂H|
     curvature: Vector  # (n,) |∂²H|
+    bends: Vector  # (n, n) |∇²H|
     M: Vector  # (n, n) |J − R|
     G: Vector  # (n, m) |G|
     holding: Vector  # (m,) |u*|
@@ -304,16 +306,20 @@ class _Local:
     def of(cls, plant: Plant, x_star: Mapping[sp.Symbol, sp.Expr]) -> _Local:
         pairs = zip(plant.grad_H, plant.x, strict=True)
         second = sp.Matrix([sp.diff(slope, s) for slope, s in pairs])
-        slope, curvature, M, G, drift = (
+        bends = sp.hessian(plant.H, plant.x)
+        slope, curvature, bends, M, G, drift = (
             _numbers(at(sp.Matrix(matrix), x_star))
             for matrix in (
-                plant.grad_H, second, plant.J - plant.R, plant.directions, plant.drift
+                plant.grad_H, second, bends, plant.J - plant.R, plant.directions, plant.drift
             )
         )  # fmt: skip
         scale = np.abs(M) @ np.abs(slope)
         force = np.where(np.abs(drift) > _ROUNDING * scale, drift, 0.0).ravel()
         holding = np.array([_least_squares(G[:, k], force) for k in range(plant.m)])
-        return cls(np.abs(slope).ravel(), np.abs(curvature).ravel(), np.abs(M), np.abs(G), holding)
+        return cls(
+            np.abs(slope).ravel(), np.abs(curvature).ravel(), np.abs(bends), np.abs(M), np.abs(G),
+            holding,
+        )  # fmt: skip
 
     @property
     def periods(self) -> list[float]:
@@ -376,6 +382,24 @@ def _displacements(plant: Plant, x_star: Mapping[sp.Symbol, sp.Expr], local: _Lo
             distance = min(to_rest, away) if away > 0 else to_rest
             result[i] = distance if 0 < distance < np.inf else np.nan
     return result
+
+
+def _following(plant: Plant, given: Mapping[str, float], local: _Local, known: Vector) -> Vector:
+    """The same, and no less than how far a state goes along with an angle that springs tie it to.
+
+    The preload of a spring is little beside its way: behind a stiff shaft a motor turns as far as
+    the load does.
+    """
+    angles = _angles(plant)
+    free = [i for i, s in enumerate(plant.states) if s not in angles and s not in given]
+    reach = np.where([s in angles for s in plant.states], known, 0.0)
+    for _ in free:  # from one to the next, along a chain of springs
+        for i in free:
+            if local.curvature[i] > 0:
+                others = np.where(np.arange(plant.n) == i, 0.0, local.bends[i])
+                along = float((others * reach).max() / local.curvature[i])
+                reach[i] = max(reach[i], min(along, reach.max(initial=0.0)))
+    return np.where(reach > 0, np.fmax(known, reach), known)
 
 
 def _angles(plant: Plant) -> dict[str, float]:

@@ -31,6 +31,19 @@ H = p1**2 / 4 + p2**2 / 2 + (1 - sp.cos(q1)) / 2 + q2**2 / 4
 """
 
 
+SHAFT = """
+import sympy as sp
+th1, th2, th3, p1, p2, p3 = x = sp.symbols("th1:4 p1:4")
+J = sp.Matrix(6, 6, lambda i, j: (j == i + 3) - (i == j + 3))
+R = sp.diag(0, 0, 0, 0.01, 0.02, 0.05)
+G = sp.Matrix([0, 0, 0, 1, 0, 0])
+H = (
+    p1**2 / 0.0126 + p2**2 / 0.0022 + p3**2 / 0.056
+    + 210 * (th1 - th2) ** 2 + 130 * (th2 - th3) ** 2 + 1.4 * sp.sin(th3)
+)
+"""
+
+
 @pytest.fixture
 def read(tmp_path):
     def load(text, target):
@@ -64,6 +77,15 @@ def test_an_angle_is_one_radian_and_its_momentum_follows(read):
     E = 0.015 * np.cos(np.pi / 4)
     assert found.state == pytest.approx([1, np.sqrt(1e-4 * E), 1])
     assert found.time == pytest.approx(np.sqrt(1e-4 / E))
+
+
+def test_what_a_stiff_shaft_ties_to_an_angle_goes_along_with_it(read):
+    """Not the few milliradians of preload: 420 (th1 − th2) and 260 (th2 − th3) are at rest so."""
+    model, target = read(SHAFT, "th3=0.8")
+    found = natural_sizes(model.loop, find_casimirs(model.loop).functions, target)
+    assert found.state[:3] == pytest.approx([260 / 680, 260 / 680, 1])
+    assert found.state[6] == pytest.approx(found.state[0])  # ξ, by th1 − ξ
+    assert found.energy < 10  # what goes along stores nothing
 
 
 def test_half_turns_make_an_angle_half_a_radian(read):
