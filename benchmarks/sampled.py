@@ -2,8 +2,8 @@
 
     python benchmarks/sampled.py [--starts 10000] [--period 0.05] [--only NAME[@TARGET];…]
 
-The plant comes from the model file alone, the controller from the exported C code; u is held and ξ
-advanced over the elapsed period, the plant by a fixed-step Runge–Kutta method written here. Half
+The plant comes from the model file alone, the controller is ``necc_step`` of the exported C code; u
+is held, and the plant is followed by a fixed-step Runge–Kutta method written here. Half
 of the starts are in the upper tenth of the level. Periods are of four kinds: the longest, uniform,
 mostly short, and short or long by chance. Counted are samples at which W rises, starts that leave
 the box between two samples, and those that are not near z̄ in the end.
@@ -47,15 +47,12 @@ void sample(int count, double *z, const double *periods, double *lo, double *hi)
     for (int row = 0; row < count; row++) {
         double *s = z + (long)row * N, h = periods[row] / @inner@;
         double k[4][NECC_NX], w[NECC_NX];
-        necc_real x[NECC_NX], xi[NECC_NXI], next[NECC_NXI], u[NECC_NU], no[NECC_NU];
-        necc_real k1[NECC_NXI], k2[NECC_NXI], dt = (necc_real)periods[row];
+        necc_real x[NECC_NX], u[NECC_NU], no[NECC_NU];
+        necc_state state;
+        necc_init(&state);
         for (int i = 0; i < NECC_NX; i++) x[i] = (necc_real)s[i];
-        for (int i = 0; i < NECC_NXI; i++) xi[i] = (necc_real)s[NECC_NX + i];
-        necc_control(x, xi, u, k1);
-        for (int i = 0; i < NECC_NXI; i++) next[i] = xi[i] + dt * k1[i];
-        necc_control(x, next, no, k2);
-        for (int i = 0; i < NECC_NXI; i++)
-            s[NECC_NX + i] = xi[i] + dt * (necc_real)0.5 * (k1[i] + k2[i]);
+        for (int i = 0; i < NECC_NXI; i++) state.xi[i] = (necc_real)s[NECC_NX + i];
+        necc_step(&state, x, u, 0);
         for (int step = 0; step < @inner@; step++) {
             for (int stage = 0; stage < 4; stage++) {
                 double part = stage == 0 ? 0.0 : stage == 3 ? h : h / 2;
@@ -69,6 +66,9 @@ void sample(int count, double *z, const double *periods, double *lo, double *hi)
                 hi[(long)row * NECC_NX + i] = fmax(hi[(long)row * NECC_NX + i], s[i]);
             }
         }
+        for (int i = 0; i < NECC_NX; i++) x[i] = (necc_real)s[i];
+        necc_step(&state, x, no, (necc_real)periods[row]);
+        for (int i = 0; i < NECC_NXI; i++) s[NECC_NX + i] = state.xi[i];
     }
 }
 """
