@@ -221,7 +221,9 @@ def _structure(
     if conserved:
         reason = "it is not tried, because a combination of states may stay whatever the inputs do"
         return NoStructure(_FAMILY, reason, False)
-    reason = "none was found"
+    reason = (
+        "no constant F_d was found for which f + G u₀ = F_d∇H₀ with a minimum of H₀ at the target"
+    )
     for proposals in _candidates(question):
         proposal = next((p for p in proposals if question.proved(p.B)), None)
         if proposal is None:

@@ -14,7 +14,7 @@ Spong (1994), partial feedback linearisation.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -38,6 +38,16 @@ class FreeRow:
     gamma: sp.ImmutableMatrix  # Γ, k × k, symmetric
     friction: sp.Expr  # d, of q and v
     input_rows: tuple[int, ...]  # k − 1 rows of B that are independent at the target
+
+    def dependence(self, q: Sequence[sp.Symbol]) -> str:
+        """Which coordinates each of its functions depends on, in words."""
+        parts = []
+        for name, entry in (("g⊥", self.g_perp), ("s", self.s), ("Γ", self.gamma)):
+            seen = [str(s) for s in q if s in entry.free_symbols]
+            zero = isinstance(entry, sp.MatrixBase) and entry.is_zero_matrix
+            constant = "is 0" if zero else "is constant"
+            parts.append(f"{name} {'depends on ' + ' and '.join(seen) if seen else constant}")
+        return f"{', '.join(parts[:-1])} and {parts[-1]}"
 
 
 @dataclass(frozen=True, eq=False)
