@@ -75,3 +75,34 @@ def test_friction_is_named_by_the_row_and_not_by_a_joint_that_has_a_motor(tmp_pa
     (refusal,) = reasons(found, "mechanical")
     assert refusal.reason == "friction in the row that no input enters is not covered"
     assert not refusal.proved
+
+
+THREE_LINKS = """
+import sympy as sp
+q = q1, q2, q3 = sp.symbols("q1:4", real=True)  # rad, of each link from upright
+m = sp.Rational("1.2"), sp.Rational("0.8"), sp.Rational("0.5")  # kg, uniform rods
+l = sp.Rational("0.4"), sp.Rational("0.35"), sp.Rational("0.3")  # m
+g = sp.Rational("9.81")
+moved = [sum(m[i + 1:]) for i in range(3)]
+def inertia(i, j):
+    i, j = sorted((i, j))
+    return (m[j] * l[j] * (sp.Rational(1, 3) if i == j else sp.Rational(1, 2)) + moved[j] * l[j]) * l[i]
+M = sp.Matrix(3, 3, lambda i, j: inertia(i, j) * sp.cos(q[i] - q[j]))
+V = sum((m[i] / 2 + moved[i]) * l[i] * g * sp.cos(q[i]) for i in range(3))
+B = sp.Matrix([1, 0, 0])
+target = {s: 0 for s in q} | {f"p_{s}": 0 for s in q}
+"""  # noqa: E501
+
+
+@pytest.mark.slow
+def test_two_passive_joints_are_refused_with_what_each_method_lacks(tmp_path):
+    """The answer comes in seconds: no proof about expressions of this length is started."""
+    _, found = asked(tmp_path, THREE_LINKS)
+    assert found.chosen is None
+    assert found.published.verdict.reason == "invisible_negative_curvature"
+    (mechanical,) = reasons(found, "mechanical")
+    assert "G is not that of 2 forces on 3 coordinates" in mechanical.reason
+    (constant,) = reasons(found, "constant")
+    assert "too long" in constant.reason
+    assert not mechanical.proved
+    assert not constant.proved
