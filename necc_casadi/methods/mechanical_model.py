@@ -22,10 +22,15 @@ import sympy as sp
 
 from necc_casadi.model.plant import Plant
 from necc_casadi.symbolic.derivatives import gradient, value_at
+from necc_casadi.symbolic.expressions import complexity
 from necc_casadi.symbolic.linear_algebra import kernel, tidy
 from necc_casadi.symbolic.zero import is_zero, sign
 
 __all__ = ["FreeRow", "MechanicalModel", "mechanical_model", "short"]
+
+
+#: Symbols, powers and functions of a kinetic energy beyond which M takes minutes: three links.
+_LONGEST = 45
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,8 +132,10 @@ def mechanical_model(plant: Plant) -> MechanicalModel | str:
         return "R damps coordinates"
     if (inputs.free_symbols | damping.free_symbols) & set(p):
         return "G or R depends on momenta"
-    inverse_mass = sp.hessian(plant.H, p).applyfunc(short)
     potential = plant.H.subs(dict.fromkeys(p, 0))
+    if complexity(plant.H) - complexity(potential) > _LONGEST:
+        return "its kinetic energy is too long"
+    inverse_mass = sp.hessian(plant.H, p).applyfunc(short)
     kinetic = (sp.Matrix([p]) * inverse_mass * sp.Matrix(p))[0] / 2
     if inverse_mass.free_symbols & set(p) or is_zero(plant.H - kinetic - potential) is not True:
         return "H is not ½pᵀM⁻¹(q)p + V(q)"

@@ -106,3 +106,12 @@ def test_two_passive_joints_are_refused_with_what_each_method_lacks(tmp_path):
     assert "too long" in constant.reason
     assert not mechanical.proved
     assert not constant.proved
+
+
+@pytest.mark.slow
+def test_one_passive_joint_of_three_is_refused_before_the_inertia_is_inverted(tmp_path):
+    _, found = asked(tmp_path, THREE_LINKS, "B = sp.Matrix([[1, -1], [0, 1], [0, 0]])")
+    assert found.chosen is None
+    (mechanical,) = reasons(found, "mechanical")
+    assert "kinetic energy is too long" in mechanical.reason
+    assert not mechanical.proved
