@@ -40,7 +40,7 @@ from necc_casadi.model.matching import Matching
 from necc_casadi.model.plant import make_plant
 from necc_casadi.symbolic.definiteness import definiteness, rational
 from necc_casadi.symbolic.derivatives import at, gradient, sparse_hessian, value_at
-from necc_casadi.symbolic.expressions import split_logarithms
+from necc_casadi.symbolic.expressions import complexity, split_logarithms
 from necc_casadi.symbolic.floats import float_matrix, to_float
 from necc_casadi.symbolic.linear_algebra import constant_kernel, kernel, reduced_rows, tidy
 from necc_casadi.symbolic.primitive import primitive
@@ -65,6 +65,9 @@ _FARTHEST = sp.Integer(2) ** 200
 
 #: States beyond which expressions take minutes.
 _LARGEST = 16
+
+#: Symbols, powers and functions in ∂s/∂x beyond which proofs of what is symmetric take minutes.
+_LONGEST = 1000
 
 #: States beyond which subsets of coordinates are not tried one after another.
 _MOST_STATES = 6
@@ -221,7 +224,14 @@ def _structure(
     if conserved:
         reason = "it is not tried, because a combination of states may stay whatever the inputs do"
         return NoStructure(_FAMILY, reason, False)
-    reason = "none was found"
+    if sum(map(complexity, question.slopes)) > _LONGEST:
+        reason = (
+            "it is not tried, because the equations of the states without an input are too long"
+        )
+        return NoStructure(_FAMILY, reason, False)
+    reason = (
+        "no constant F_d was found for which f + G u₀ = F_d∇H₀ with a minimum of H₀ at the target"
+    )
     for proposals in _candidates(question):
         proposal = next((p for p in proposals if question.proved(p.B)), None)
         if proposal is None:

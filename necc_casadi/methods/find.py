@@ -138,6 +138,11 @@ def _of_plant(
     return Method("interconnection", loop, casimirs, judge(loop, casimirs, x_star))
 
 
+def _of_family(found: NoStructure) -> str:
+    """Why there is no structure, and in which family where the method has more than one."""
+    return found.reason if found.family == "mechanical" else f"{found.family}: {found.reason}"
+
+
 def _decided(
     name: MethodName, answers: Callable[[], Iterator[Method | Refusal]]
 ) -> Iterator[Method | Refusal]:
@@ -211,7 +216,7 @@ class _Question:
         self.say("looking for a mechanical target structure")
         for found in mechanical_structures(self.system, self.x_star, self.weigh):
             if isinstance(found, NoStructure):
-                yield Refusal("mechanical", found.reason, found.proved)
+                yield Refusal("mechanical", _of_family(found), found.proved)
                 continue
             plant, gammas = plant_with_feedback(found, self.x_star, self.system)
             method = _of_plant(plant, self.x_star, gammas)

@@ -23,7 +23,7 @@ Ortega, Spong, Gómez-Estern, Blankenstein (2002); Acosta, Ortega, Astolfi, Mahi
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations, combinations_with_replacement
@@ -174,10 +174,9 @@ def _structures(
         yield obstacle
         return
     steady = all(not question.row.g_perp.free_symbols for question in questions)
-    for family, build in sorted(_FAMILIES.items(), key=lambda f: steady and f[0] != _STEADY):
-        missing = NoStructure(
-            family, "no row without an input has the form that it integrates", False
-        )
+    for family in sorted(_FAMILIES, key=lambda family: steady and family != _STEADY):
+        build, form = _FAMILIES[family]
+        missing = NoStructure(family, _other_form(questions, form), False)
         for question in questions:
             shape = build(question)
             if isinstance(shape, _Shape):
@@ -190,6 +189,21 @@ def _structures(
                 missing = NoStructure(family, shape, False)
         else:
             yield missing
+
+
+def _other_form(questions: Sequence[_Question], form: str) -> str:
+    """Which form a family integrates, and the row that comes nearest to it."""
+
+    def others(question: _Question) -> int:
+        row = question.row
+        return sum(len(e.free_symbols - {question.q_r}) for e in (row.g_perp, row.s, row.gamma))
+
+    nearest = min(questions, key=others)
+    depends = nearest.row.dependence(nearest.model.q)
+    return (
+        f"it takes {form} in the row that no input enters; there, divided by the entry of "
+        f"{nearest.q_r}, {depends}"
+    )
 
 
 def _obstacle(
@@ -239,7 +253,7 @@ def _of_friction(question: _Question) -> NoStructure:
         and sign(question.at_target(loss)) == 1
     )
     if not upright:
-        reason = f"friction on the unactuated coordinate {name} is not covered"
+        reason = "friction in the row that no input enters is not covered"
         return NoStructure("mechanical", reason, False)
     reason = (
         f"no mechanical structure: with friction on the unactuated coordinate {name}, a minimum "
@@ -454,10 +468,17 @@ def _integrated(
 #: The family that is tried first where g⊥ is constant.
 _STEADY = "constant M_d"
 
-_FAMILIES = {
-    "M_d of one coordinate": _one_coordinate,
-    _STEADY: _constant_inertia,
-    "M_d constant off one coordinate": _constant_off_r,
+#: What builds a structure, or None where the row g⊥v̇ = −s + vᵀΓv does not have this form.
+_FAMILIES: dict[str, tuple[Callable[[_Question], _Shape | str | None], str]] = {
+    "M_d of one coordinate": (
+        _one_coordinate,
+        "g⊥, s and Γ of one coordinate and another entry in g⊥",
+    ),
+    _STEADY: (_constant_inertia, "g⊥ and s of one coordinate and Γ = 0"),
+    "M_d constant off one coordinate": (
+        _constant_off_r,
+        "one entry in g⊥, s of the other of two coordinates and Γ of its velocity alone",
+    ),
 }
 
 

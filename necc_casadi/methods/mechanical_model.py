@@ -14,7 +14,7 @@ Spong (1994), partial feedback linearisation.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -22,10 +22,15 @@ import sympy as sp
 
 from necc_casadi.model.plant import Plant
 from necc_casadi.symbolic.derivatives import gradient, value_at
+from necc_casadi.symbolic.expressions import complexity
 from necc_casadi.symbolic.linear_algebra import kernel, tidy
 from necc_casadi.symbolic.zero import is_zero, sign
 
 __all__ = ["FreeRow", "MechanicalModel", "mechanical_model", "short"]
+
+
+#: Symbols, powers and functions of a kinetic energy beyond which M takes minutes: three links.
+_LONGEST = 45
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,6 +43,16 @@ class FreeRow:
     gamma: sp.ImmutableMatrix  # Γ, k × k, symmetric
     friction: sp.Expr  # d, of q and v
     input_rows: tuple[int, ...]  # k − 1 rows of B that are independent at the target
+
+    def dependence(self, q: Sequence[sp.Symbol]) -> str:
+        """Which coordinates each of its functions depends on, in words."""
+        parts = []
+        for name, entry in (("g⊥", self.g_perp), ("s", self.s), ("Γ", self.gamma)):
+            seen = [str(s) for s in q if s in entry.free_symbols]
+            zero = isinstance(entry, sp.MatrixBase) and entry.is_zero_matrix
+            constant = "is 0" if zero else "is constant"
+            parts.append(f"{name} {'depends on ' + ' and '.join(seen) if seen else constant}")
+        return f"{', '.join(parts[:-1])} and {parts[-1]}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,8 +132,10 @@ def mechanical_model(plant: Plant) -> MechanicalModel | str:
         return "R damps coordinates"
     if (inputs.free_symbols | damping.free_symbols) & set(p):
         return "G or R depends on momenta"
-    inverse_mass = sp.hessian(plant.H, p).applyfunc(short)
     potential = plant.H.subs(dict.fromkeys(p, 0))
+    if complexity(plant.H) - complexity(potential) > _LONGEST:
+        return "its kinetic energy is too long"
+    inverse_mass = sp.hessian(plant.H, p).applyfunc(short)
     kinetic = (sp.Matrix([p]) * inverse_mass * sp.Matrix(p))[0] / 2
     if inverse_mass.free_symbols & set(p) or is_zero(plant.H - kinetic - potential) is not True:
         return "H is not ½pᵀM⁻¹(q)p + V(q)"

@@ -15,11 +15,12 @@ import sympy as sp
 from necc_casadi.arrays import Vector
 from necc_casadi.methods.semidefinite_program import SemidefiniteProgram
 from necc_casadi.methods.structure_family import dissipation, reduced, symmetry_rows
+from necc_casadi.symbolic.arb import independent_rows
 from necc_casadi.symbolic.definiteness import definiteness, rational
 from necc_casadi.symbolic.derivatives import at
 from necc_casadi.symbolic.expressions import is_finite
 from necc_casadi.symbolic.floats import float_matrix
-from necc_casadi.symbolic.linear_algebra import has_rank, kernel
+from necc_casadi.symbolic.linear_algebra import kernel
 from necc_casadi.symbolic.zero import Undecided, random_point
 
 __all__ = ["no_constant_structure", "nothing_is_conserved", "uncontrollable_growth"]
@@ -30,7 +31,7 @@ _DENOMINATORS = (1, 12, 1000, 10**6)
 
 
 #: Points at which the rows of ∂s/∂x are told apart.
-_POINTS = 5
+_POINTS = 16
 
 
 def nothing_is_conserved(slopes: sp.Matrix) -> bool:
@@ -39,9 +40,7 @@ def nothing_is_conserved(slopes: sp.Matrix) -> bool:
     aG⊥x would be constant whatever the inputs do; F_d may hold it, and be singular along aG⊥.
     """
     symbols = slopes.free_symbols
-    sampled = [sp.Matrix(at(slopes, random_point(symbols, seed))) for seed in range(_POINTS)]
-    finite = [matrix for matrix in sampled if is_finite(matrix)]
-    return bool(finite) and has_rank(sp.Matrix.hstack(*finite), slopes.rows)
+    return independent_rows(slopes, (random_point(symbols, seed) for seed in range(_POINTS)))
 
 
 def uncontrollable_growth(A: sp.Matrix, G: sp.Matrix, conserved: bool = False) -> bool:

@@ -280,6 +280,8 @@ def solve_target(plant: Equilibria, given: Mapping[sp.Symbol, sp.Expr]) -> dict[
         ``target_ambiguous`` where several solutions, or a free coordinate, remain.
     """
     unknown = [s for s in plant.x if s not in given]
+    if not unknown:  # nothing to solve: the equations may be long
+        return {s: given[s] for s in plant.x}
     solutions = _solutions(plant, given, unknown)
     if not solutions:
         return {s: given.get(s, sp.Integer(0)) for s in plant.x}

@@ -21,6 +21,7 @@ __all__ = [
     "enclosure",
     "excludes_zero",
     "hull",
+    "independent_rows",
     "not_real",
     "real_rank",
 ]
@@ -117,6 +118,21 @@ def real_rank(
             if all(e.is_finite() for row in table for e in row) and _pivoted(table) >= wanted:
                 return True
     return False
+
+
+def independent_rows(matrix: sp.Matrix, points: Iterable[Mapping[sp.Symbol, sp.Expr]]) -> bool:
+    """Whether a·matrix ≡ 0 is proved to have no constant solution a ≠ 0.
+
+    The values at those rational points at which they are real stand side by side.
+    """
+    with flint.ctx.workprec(_BITS):
+        rows: list[list[flint.arb]] = [[] for _ in range(matrix.rows)]
+        for point in points:
+            known: dict[sp.Expr, flint.arb] = {s: ball(v, {}) for s, v in point.items()}
+            table = [[ball(e, known) for e in matrix.row(i)] for i in range(matrix.rows)]
+            if all(e.is_finite() for row in table for e in row):
+                rows = [left + right for left, right in zip(rows, table, strict=True)]
+        return bool(rows and rows[0]) and _pivoted(rows) >= matrix.rows
 
 
 def ball(expr: sp.Expr, known: dict[sp.Expr, flint.arb]) -> flint.arb:

@@ -11,7 +11,11 @@ from necc_casadi.casimirs.find import find_casimirs
 from necc_casadi.methods.constant import constant_structure
 from necc_casadi.methods.mechanical import mechanical_structures
 from necc_casadi.methods.no_structure import NoStructure
-from necc_casadi.methods.refutation import no_constant_structure, uncontrollable_growth
+from necc_casadi.methods.refutation import (
+    no_constant_structure,
+    nothing_is_conserved,
+    uncontrollable_growth,
+)
 from necc_casadi.model.closed_loop import interconnect
 from necc_casadi.model.controller import default_controller
 from necc_casadi.model.matching import Matching
@@ -349,3 +353,34 @@ def test_an_energy_with_logarithms_is_real_and_in_partial_fractions():
 
 def is_real_there(inside, x_star) -> bool:
     return bool(inside.subs(x_star) > 0)
+
+
+def interacting_tanks():
+    """A pump into the first of two tanks; the flow between them is real where h₁ > h₂ only."""
+    h1, h2 = x = sp.symbols("h1 h2", positive=True)
+    area, outlet, g = R("0.0154"), R("2.5e-5"), R("9.81")  # m², m², m/s²
+    between, out = (outlet * sp.sqrt(2 * g * h) for h in (h1 - h2, h2))
+    return [-between / area, (between - out) / area], [1 / area, 0], x, (R("0.4"), R("0.2"))
+
+
+def test_a_plant_that_is_real_on_half_of_its_space_is_held():
+    """∂s/∂x has no real value at a point with h₁ < h₂, which tells nothing about what it is."""
+    f, G, x, target = interacting_tanks()
+    slopes = sp.Matrix([f[1]]).jacobian(x)
+    assert nothing_is_conserved(slopes)
+    there = dict(zip(x, target, strict=True))
+    found = constant_structure(sp.Matrix(f), sp.Matrix(G), x, there)
+    assert isinstance(found, Matching)
+    assert found.holds
+    H = sp.lambdify([x], found.plant.H)
+    at_rest = np.array([float(v) for v in target])
+    rng = np.random.default_rng(0)
+    moved = at_rest + rng.uniform(-0.02, 0.02, (50, 2))
+    assert min(H(point) for point in moved) > H(at_rest)
+
+
+def test_what_is_conserved_is_found_to_be_so():
+    """Two rows that are a multiple of one another at every point are dependent at all of them."""
+    f, _, x, _ = interacting_tanks()
+    assert not nothing_is_conserved(sp.Matrix([f[1], 3 * f[1]]).jacobian(x))
+    assert nothing_is_conserved(sp.Matrix([f[1], 3 * f[0]]).jacobian(x))

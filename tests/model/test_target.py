@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import sympy as sp
+from helpers.symbolic_plants import load
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
@@ -156,3 +157,14 @@ def test_complex_roots_are_no_equilibria():
     force = -sp.diff(H, q2).subs(x_star)
     assert abs(float(force)) < 1e-9
     assert x_star[q2].evalf(30).is_real
+
+
+def test_a_target_with_every_state_given_solves_no_equations():
+    """They may take minutes to form; with a state that is not given they are needed."""
+    plant = load("cart_pole")[0]
+    values = {str(s): sp.Integer(0) for s in plant.x}
+    assert target_from_model(plant, values) == dict.fromkeys(plant.x, 0)
+    assert "equilibrium_equations" not in vars(plant)
+    del values["p_x"]
+    assert target_from_model(plant, values) == dict.fromkeys(plant.x, 0)
+    assert "equilibrium_equations" in vars(plant)
