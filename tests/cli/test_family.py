@@ -69,6 +69,8 @@ def test_the_error_at_rest_holds_true_minima_of_corners(own):
             member = family.member({"g": g, "d_u": d})
             assert lo <= member.z_bar[0] - member.z_star[0] <= hi
     assert max(-lo, hi) < 0.2
+    held = {claim["name"] for claim in data["certificate"]["claims"] if claim["holds"]}
+    assert {"momenta", "family"} <= held
 
 
 def test_the_folder_is_certified_again(own):
@@ -150,6 +152,7 @@ def test_a_load_that_moves_the_equilibrium_is_refused_with_the_witness(tmp_path,
     assert not out.exists()
 
 
+@pytest.mark.slow
 def test_a_target_that_is_a_range(tmp_path):
     """The middle is the target, and the claims about set-points stand in one certificate."""
     (tmp_path / "own.py").write_text(COORDINATES, encoding="utf-8")
@@ -160,7 +163,7 @@ def test_a_target_that_is_a_range(tmp_path):
     assert data["target"]["q"] == 0.25
     assert data["family"]["setpoints"] == {"q": [-0.5, 1.0]}
     held = {c["name"] for c in data["certificate"]["claims"] if c["holds"]}
-    assert {"setpoints", "momenta", "family"} <= held | {"momenta"}
+    assert {"setpoints", "family"} <= held
     assert "necc_set_target" in (tmp_path / "own-design" / "c" / "necc.h").read_text("utf-8")
     done = process(CERTIFY, "own-design", cwd=tmp_path)
     assert done.returncode == 0, done.stdout
