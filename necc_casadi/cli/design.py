@@ -52,11 +52,22 @@ __all__ = ["design_command"]
     "--target",
     metavar="TARGET",
     help="Set-point: pi/4, q=pi/4, q1=pi/4,q2=-pi/3 or all states "
-    "in order; states not given are solved from the equilibrium condition. Default: `target` in "
-    "the model file.",
+    "in order; states not given are solved from the equilibrium condition. A range "
+    "q=-1:1 makes a set-point that moves. Default: `target` in the model file.",
 )
 @task_option(
     "--param", multiple=True, metavar="NAME=VALUE", help="Override a parameter of the model."
+)
+@task_option(
+    "--uncertain",
+    metavar="NAME=RANGE,…",
+    help="Parameters that are constant and unknown: m=10%,g=0.95:1.05. How far from the target it "
+    "rests is proved for all of them.",
+)
+@task_option(
+    "--disturbance",
+    metavar="SIZE[,…]",
+    help="Constant unknown disturbances of the inputs, within ± SIZE; one, or one per input.",
 )
 @task_option("--check", is_flag=True, help="Stop after the symbolic verdict: no training.")
 @response_option(

@@ -83,6 +83,12 @@ class Family:
         """What has a range: set-points, parameters of the plant, disturbances."""
         return self.moved.parameters
 
+    @property
+    def state_units(self) -> dict[str, float]:
+        """Natural units of the states, by name."""
+        design = self.design
+        return dict(zip(design.loop.states, design.units.state.tolist(), strict=True))
+
     @cached_property
     def setpoints(self) -> tuple[Parameter, ...]:
         """What moves at run time."""

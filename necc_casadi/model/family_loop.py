@@ -37,7 +37,7 @@ from necc_casadi.symbolic.linear_algebra import generic_rank
 from necc_casadi.symbolic.semidefinite import is_positive_semidefinite
 from necc_casadi.symbolic.zero import Undecided, is_zero
 
-__all__ = ["FamilyLoop", "NoFamily", "Parameter", "family_loop"]
+__all__ = ["FamilyLoop", "Kind", "NoFamily", "Parameter", "family_loop"]
 
 
 Kind = Literal["setpoint", "uncertain", "disturbance"]

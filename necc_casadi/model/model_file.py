@@ -57,7 +57,7 @@ _AFFINE = ("x", "f", "G")
 _OPTIONAL = (
     "params", "xi", "Jc", "Rc", "Gc", "casimirs", "target", "domain", "sizes", "D", "Dc",
     "u_limits", "units", "name", "state_cost", "input_cost", "u", "E", "f", "measured",
-    "uncertain", "setpoints",
+    "uncertain", "setpoints", "disturbance",
 )  # fmt: skip
 
 
@@ -318,7 +318,9 @@ def _build(title: str, space: dict[str, Any], overrides: Mapping[str, str]) -> M
         state_cost=_weight(file, "state_cost", plant.n, strict=False),
         input_cost=_weight(file, "input_cost", plant.m, strict=True),
         params=file.parameters,
-        ranges=Ranges(setpoints=_setpoints(file, plant.states), uncertain=_uncertain(file)),
+        ranges=Ranges(
+            _setpoints(file, plant.states), _uncertain(file), _disturbance(file, plant.m)
+        ),
         parametric=_parametric(file),
     )
 
@@ -651,6 +653,28 @@ def _uncertain(file: _Reader) -> dict[str, Range]:
             )
         result[name] = (lo, hi)
     return result
+
+
+def _disturbance(file: _Reader, m: int) -> tuple[Range, ...]:
+    """Ranges of constant disturbances, one per input."""
+    value = file.space.get("disturbance")
+    if value is None:
+        return ()
+    try:
+        sides = [(file.read(lo), file.read(hi)) for lo, hi in value]
+        ordered = all(
+            bool(lo < hi) and bool(lo.is_finite and hi.is_finite) and bool(lo <= 0 <= hi)
+            for lo, hi in sides
+        )
+    except (TypeError, ValueError, AttributeError):
+        sides, ordered = [], False
+    if not ordered or len(sides) != m:
+        raise ModelError(
+            "limits",
+            f"disturbance = {value} is not a pair (lo, hi) around 0 for each of {m} input(s)",
+            "Write disturbance = [(-0.2, 0.2)], one pair per input.",
+        )
+    return tuple(sides)
 
 
 def _sizes(file: _Reader, names: Sequence[str]) -> dict[str, sp.Expr]:

@@ -51,6 +51,10 @@ class RunOptions(TypedDict, total=False):
         Measure the design beside LQR and the optimum.
     integral
         Integral action on the position; ``True``, or its τ in s.
+    uncertain
+        Ranges of parameters, ``"m=10%,g=0.95:1.05"``.
+    disturbance
+        Size of constant disturbances of the inputs, ``"0.2"``, or one per input.
     settle
         Time in which a response is to come within 2 %, s.
     rate
@@ -109,6 +113,8 @@ class RunOptions(TypedDict, total=False):
     param: Mapping[str, Any]
     compare: bool
     integral: float | bool
+    uncertain: str
+    disturbance: str
     settle: float
     rate: float
     peak_u: _Numbers

@@ -25,6 +25,7 @@ from necc_casadi.errors import ModelError, OptionError
 from necc_casadi.model.model_file import Model, damping_matrix, load_model
 from necc_casadi.model.plant import Plant
 from necc_casadi.model.target import free_coordinates, parse_target, target_from_model
+from necc_casadi.pipeline.ranges import middle_of_target
 from necc_casadi.synthesis.options import Options, check_options, paper_options
 from necc_casadi.verdict.controller_structures import suggest_controllers
 
@@ -80,6 +81,8 @@ class Request:
     settle: float | None = None  # s, 2 %
     peak_u: tuple[float, ...] | None = None
     compare: bool = False
+    uncertain: str | None = None  # NAME=SHARE% or NAME=LO:HI, with commas
+    disturbance: str | None = None  # sizes, one or one per input
     integral: float | bool = False  # integral action; a number: its τ, s
     damping: tuple[float, ...] | None = None
     controller_damping: tuple[float, ...] | None = None
@@ -165,6 +168,7 @@ def read_parameters(texts: Sequence[str]) -> dict[str, str]:
 
 def read_target(model: Model, text: str | None) -> dict[sp.Symbol, sp.Expr]:
     """x* from --target, else from the model file."""
+    text = middle_of_target(text)
     if text is not None:
         return parse_target(model.system, text)
     if model.target is not None:
@@ -233,7 +237,8 @@ def _check_integral(request: Request, options: Options, model: Model) -> None:
         "--sweep-a": request.sweep_a is not None,
         "--learn-casimir": options.learn_casimir,
         "--casimir-form sum": options.casimir_form == "sum",
-        "setpoints of the model": bool(model.ranges.setpoints),
+        "setpoints, or a target that is a range": bool(model.ranges.setpoints),
+        "disturbance": bool(model.ranges.disturbance),
     }
     for name, given in beside.items():
         if given:

@@ -23,6 +23,7 @@ from necc_casadi.folders import whole_folder
 from necc_casadi.interrupts import uninterrupted
 from necc_casadi.methods.find import Found, find_method
 from necc_casadi.methods.method import Method
+from necc_casadi.model.family_loop import NoFamily, family_loop
 from necc_casadi.model.lagrangian import Plants
 from necc_casadi.model.model_file import Model
 from necc_casadi.model.plant import Plant
@@ -37,6 +38,7 @@ from necc_casadi.pipeline.advice import (
     structure_offers,
 )
 from necc_casadi.pipeline.clock import Clock, Say
+from necc_casadi.pipeline.ranges import with_ranges
 from necc_casadi.pipeline.request import (
     Request,
     read_method,
@@ -53,6 +55,7 @@ if TYPE_CHECKING:  # what --check does not need is loaded when it is reached
     from necc_casadi.certificate.claims.certificate import Certificate
     from necc_casadi.choice.choose import Choice
     from necc_casadi.designs.design import Design
+    from necc_casadi.designs.family import Family
     from necc_casadi.designs.outcome import Start
     from necc_casadi.export.sampled_loop import SampledLoop
     from necc_casadi.performance.measure import Performance
@@ -106,6 +109,10 @@ def run_design(request: Request, say: Say) -> Findings:
         notes=task.notes,
         timings=dict(clock.timings),
     )
+    none = _no_family(request, task)
+    if none is not None:
+        notes = (*task.notes, f"no family: {none.sentence}")
+        return replace(found, no_family=none, notes=notes)
     if task.found.chosen is None or request.check:
         return found
     _load_designs()
@@ -174,12 +181,14 @@ def _studied(request: Request, task: _Task, found: Findings, kept: _Kept, clock:
         domain_share=share,
         simulated_share=motion.share,
         sampling=sampling,
+        family=kept.family,
         asked=choice.kept.asked if made.integral is None else None,
         performance=_compared(request, task, made, clock) if request.compare else None,
         sweep=sweep,
         notes=(
             *task.notes,
             *design_notes(made, task.options),
+            *(() if kept.because is None else (f"no family: {kept.because}",)),
             *region_notes(certificate, share, task.options),
             *response_notes(motion.responses, _PATIENCE),
             *(() if warning is None else (warning,)),
@@ -205,6 +214,10 @@ def _written(
         from necc_casadi.designs.plant_file import PLANT_FILE, plant_text
 
         saved.append(write_text(folder / PLANT_FILE, plant_text(made, found.parametric)))
+    if found.family is not None:
+        from necc_casadi.designs.family import FAMILY_FILE
+
+        saved.append(found.family.save(folder / FAMILY_FILE))
     drawn = _drawn(request, found, folder, clock)
     files = [path.relative_to(folder).as_posix() for path in (*saved, *exported(), *drawn)]
     return replace(found, files=(*files, LISTING), timings=dict(clock.timings))
@@ -232,7 +245,7 @@ def _judged(request: Request, say: Say) -> _Task:
     """Read the model, find its Casimirs, judge the target."""
     if request.out is not None and not request.check:
         check_writable(request.out)
-    model = read_model(request)
+    model = with_ranges(read_model(request), request.target, request.uncertain, request.disturbance)
     options = read_options(request, model)
     x_star = read_target(model, request.target)
     is_plant = isinstance(model.system, Plant)
@@ -307,14 +320,58 @@ class _Kept:
     design: Design
     certificate: Certificate
     choice: Choice
+    family: Family | None = None
+    because: str | None = None  # nothing is proved of the family
 
 
 def _kept(request: Request, task: _Task, clock: Clock) -> tuple[_Kept, _Task]:
     """The choice, with integral action on top and the sampled loop proved where asked for."""
     choice, task = _chosen(task, clock)
     made, certificate = _with_plants(request, task, choice, clock)
+    family, because = None, None
+    if task.model.ranges and request.integral is False:
+        with clock.stage("family", "proving the family"):
+            certificate, family, because = _with_family(made, certificate, task.model)
     certificate = _with_sampled_loop(request, made, certificate, clock)
-    return _Kept(made, certificate, choice), task
+    return _Kept(made, certificate, choice, family, because), task
+
+
+def _no_family(request: Request, task: _Task) -> NoFamily | None:
+    """Why no loop that may be taken holds the target for all of the ranges, proved."""
+    ranges, first = task.model.ranges, task.found.chosen
+    if not ranges or first is None or request.integral is not False:
+        return None
+    star = tuple(task.x_star[s] for s in task.model.system.x)
+    found: NoFamily | None = None
+    for method in (first, *task.found.alternatives):
+        functions, sums = method.casimirs.functions, task.options.phi == "sum"
+        lifted = family_loop(
+            method.loop, functions, star, ranges, task.model.parametric, phi_is_sum=sums
+        )
+        if not (isinstance(lifted, NoFamily) and lifted.reason == "refused"):
+            return None
+        found = found or lifted
+    return found
+
+
+def _with_family(
+    made: Design, certificate: Certificate, model: Model
+) -> tuple[Certificate, Family | None, str | None]:
+    """The certificate with what is proved of the family, the family, and what is missing."""
+    from necc_casadi.certificate.claims.claim import Claim
+    from necc_casadi.certificate.claims.statements import NO_FAMILY
+    from necc_casadi.certificate.prover.family import prove_family
+    from necc_casadi.designs.family import lift
+
+    lifted, because = lift(made, model.ranges, model.parametric), None
+    if isinstance(lifted, NoFamily):
+        claim, because = Claim("family", False, NO_FAMILY[lifted.reason]), lifted.sentence
+    else:
+        claim = prove_family(lifted)
+        if not claim.holds:
+            claim, because = Claim("family", False, NO_FAMILY["open"]), claim.statement
+    family = None if isinstance(lifted, NoFamily) else lifted
+    return replace(certificate, claims=(*certificate.claims, claim)), family, because
 
 
 def _with_plants(

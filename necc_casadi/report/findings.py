@@ -21,13 +21,15 @@ if TYPE_CHECKING:  # a verdict alone needs none of these
     from necc_casadi.certificate.claims.claim import Claim
     from necc_casadi.choice.choose import Choice
     from necc_casadi.designs.design import Design
+    from necc_casadi.designs.family import Family
     from necc_casadi.designs.measures import Measures
     from necc_casadi.export.sampled_loop import SampledLoop
+    from necc_casadi.model.family_loop import NoFamily
     from necc_casadi.performance.measure import Performance
     from necc_casadi.simulation.responses import Trajectory
     from necc_casadi.synthesis.asked import Asked
 
-__all__ = ["Findings", "attracts", "global_claim", "region_claim"]
+__all__ = ["Findings", "attracts", "family_claim", "global_claim", "region_claim"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,6 +49,8 @@ class Findings:
     asked: Asked | None = None  # of the response
     performance: Performance | None = None  # with --compare
     sweep: Sequence[SweepPoint] = ()
+    family: Family | None = None  # that the design is one of
+    no_family: NoFamily | None = None  # why there is provably none
     parametric: Parametric | None = None  # the plant with its parameters as symbols
     notes: tuple[str, ...] = ()
     files: tuple[str, ...] = ()  # relative to the folder that was written
@@ -84,7 +88,7 @@ class Findings:
     @property
     def status(self) -> str:
         """The word for the outcome, see docs/contract.md#json."""
-        if self.found.refused:
+        if self.found.refused or self.no_family is not None:
             return "refused"
         if self.design is None:
             known = self.method is not None and self.method.verdict.assignable
@@ -136,6 +140,11 @@ def region_claim(certificate: Certificate) -> Claim | None:
 def global_claim(certificate: Certificate) -> Claim | None:
     """The claim about the whole space."""
     return _named(certificate, "global")
+
+
+def family_claim(certificate: Certificate | None) -> Claim | None:
+    """The claim about the family."""
+    return None if certificate is None else _named(certificate, "family")
 
 
 def _named(certificate: Certificate, name: str) -> Claim | None:

@@ -89,7 +89,7 @@ def report(found: Findings, figures: Mapping[str, Figure], command: str = "") ->
             "Design",
             _lyapunov(made) + _facts(found, ("sizes", "design", "minimum", "loop", "sampled")),
         ),
-        ("What is proved", _claims(certificate) + _facts(found, ("region",))),
+        ("What is proved", _claims(certificate) + _facts(found, ("family", "region"))),
         ("How it responds", _facts(found, ("asked", "NOT met", "responses", "starts"))),
         ("Beside LQR and the optimum", _compared(found, plant)),
         ("Figures", _figures(figures)),

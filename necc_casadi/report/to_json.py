@@ -10,9 +10,10 @@ from necc_casadi.arrays import Vector
 from necc_casadi.casimirs.casimirs import Casimirs
 from necc_casadi.files import finite
 from necc_casadi.methods.method import Method
+from necc_casadi.model.family_loop import Kind
 from necc_casadi.model.shaped_loop import ShapedLoop
 from necc_casadi.report.asked import asked_text
-from necc_casadi.report.findings import Findings
+from necc_casadi.report.findings import Findings, family_claim
 from necc_casadi.symbolic.expressions import to_text
 from necc_casadi.symbolic.floats import to_float, to_floats
 from necc_casadi.verdict.verdict import Verdict
@@ -65,6 +66,7 @@ def to_json(found: Findings) -> dict[str, Any]:
         "performance": None
         if found.performance is None
         else _performance(found.performance, list(system.states)),
+        "family": _family(found),
         "sweep": [vars(p) for p in found.sweep] or None,
         "notes": found.notes,
         "files": found.files,
@@ -103,6 +105,32 @@ def _design(design: Design, measures: Measures, certificate: Certificate | None)
         "integral": _integral(design, certificate),
         "seed": design.seed,
         "starts": [_start(start) for start in design.starts],
+    }
+
+
+def _family(found: Findings) -> dict[str, Any] | None:
+    """The family that the design is one of, and how far from the set-point its members rest."""
+    family = found.family
+    if family is None:
+        return None
+    from necc_casadi.certificate.claims.family import off_target
+
+    claim = family_claim(found.certificate)
+    data = claim.data if claim is not None and claim.holds else None
+
+    def ranges(kind: Kind) -> dict[str, list[float]]:
+        return {p.name: [to_float(v) for v in p.range] for p in family.moved.of(kind)}
+
+    return {
+        "setpoints": ranges("setpoint"),
+        "uncertain": ranges("uncertain"),
+        "disturbance": list(ranges("disturbance").values()),
+        "exact_equilibrium": None
+        if data is None
+        else not off_target(data["error"], family.state_units),
+        "error": None if data is None else {k: list(v) for k, v in data["error"].items()},
+        "boxes": None if data is None else len(data["boxes"]),
+        "proved_share": 0.0 if data is None else 1.0,
     }
 
 

@@ -15,7 +15,7 @@ from necc_casadi.casimirs.casimirs import Casimirs
 from necc_casadi.model.modulated import System
 from necc_casadi.report.asked import asked_text, missed
 from necc_casadi.report.compared import comparison, error_lines
-from necc_casadi.report.findings import Findings, attracts, global_claim, region_claim
+from necc_casadi.report.findings import Findings, attracts, family_claim, global_claim, region_claim
 from necc_casadi.report.methods import method_rows
 from necc_casadi.symbolic.expressions import to_text
 from necc_casadi.symbolic.floats import to_float
@@ -124,7 +124,7 @@ def facts(found: Findings) -> list[tuple[str, str]]:
     if found.sampling is not None:
         rows.append(("sampled", _sampled(found.sampling, found.certificate)))
     if found.certificate is not None:
-        rows += integral_rows(found) + _region_rows(found, found.certificate)
+        rows += family_rows(found) + integral_rows(found) + _region_rows(found, found.certificate)
         rows += [
             (mark(claim), f"{claim.name}: {claim.statement}") for claim in found.certificate.claims
         ]
@@ -167,7 +167,7 @@ def brief(found: Findings) -> list[tuple[str, str]]:
     if found.sampling is not None:
         rows.append(("sampled", _sampled(found.sampling, certificate)))
     if certificate is not None:
-        rows += integral_rows(found)
+        rows += family_rows(found) + integral_rows(found)
         rows += [] if integral_rows(found) else _region_rows(found, certificate)[:2]
         proved = [claim.name for claim in certificate.claims if claim.holds]
         rows.append(("proved", ", ".join(proved) or "nothing"))
@@ -178,6 +178,23 @@ def brief(found: Findings) -> list[tuple[str, str]]:
         ]
     rows += [("note", note) for note in found.notes]
     return rows + ([("written", _folders(found.files))] if found.files else [])
+
+
+def family_rows(found: Findings) -> list[tuple[str, str]]:
+    """How far from the set-point every member of the family rests; none without a proof."""
+    claim = family_claim(found.certificate)
+    if found.family is None or claim is None or not claim.holds:
+        return []
+    from necc_casadi.certificate.claims.family import off_target, outward
+
+    names = ", ".join(p.name for p in found.family.parameters)
+    moving = off_target(claim.data["error"], found.family.state_units)
+    if not moving:
+        return [("family", f"{names}: no error at rest but rounding")]
+    units, error = found.system.units, claim.data["error"]
+    shown = {k: " … ".join(outward(error[k])) for k in moving}
+    sides = ", ".join(f"{k} {side} {units.get(k, '')}".rstrip() for k, side in shown.items())
+    return [("family", f"{names}: error at rest {sides}")]
 
 
 def integral_rows(found: Findings) -> list[tuple[str, str]]:
@@ -263,6 +280,8 @@ def _outcome(found: Findings) -> str:
 
 def _refusal(found: Findings) -> str:
     """What of a refusal is proved."""
+    if found.no_family is not None:
+        return "refused, with proof, for a part of the family"
     published, refusals = found.found.published, found.found.refusals
     nowhere = published is not None and published.verdict.reason == "not_an_equilibrium"
     if nowhere or all(refusal.proved for refusal in refusals):

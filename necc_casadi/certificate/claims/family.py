@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
+from decimal import ROUND_CEILING, ROUND_FLOOR, Context, Decimal
 from typing import Any
 
 from necc_casadi.certificate.claims.fields import read_as
 from necc_casadi.certificate.claims.regions import Side
 
-__all__ = ["FAMILY_FILE", "FamilyBox", "FamilyClaim", "statement"]
+__all__ = ["FAMILY_FILE", "FamilyBox", "FamilyClaim", "off_target", "outward", "statement"]
 
 
 FAMILY_FILE = "family.json"
@@ -57,14 +58,29 @@ def statement(
 ) -> str:
     """Of the whole family; `units` are natural ones of states, `measured`: y is no model's."""
     over = ", ".join(f"{name} in [{lo:.6g}, {hi:.6g}]" for name, (lo, hi) in ranges.items())
-    moving = [name for name, (lo, hi) in error.items() if max(-lo, hi) > _ROUNDING * units[name]]
-    shown = ", ".join(f"{name} [{error[name][0]:.4g}, {error[name][1]:.4g}]" for name in moving)
+    moving = off_target(error, units)
+    sides = ((name, *outward(error[name])) for name in moving)
+    shown = ", ".join(f"{name} [{lo}, {hi}]" for name, lo, hi in sides)
     far = f"; at rest the error of the set-point is within {shown}" if moving else ""
     exact = "" if moving else ", the set-point itself but for rounding"
     taken = ", with y measured and not computed from the model" if measured else ""
     return (
         f"for every {over}: V never increases along the continuous-time, unsaturated loop{taken}, "
         f"and has a strict minimum{exact}, a stable equilibrium{far}"
+    )
+
+
+def off_target(error: Mapping[str, Side], units: Mapping[str, float]) -> list[str]:
+    """The states whose error is more than that of the arithmetic."""
+    return [name for name, (lo, hi) in error.items() if max(-lo, hi) > _ROUNDING * units[name]]
+
+
+def outward(side: Side) -> tuple[str, str]:
+    """Both ends in four digits, rounded to the safe side."""
+    lo, hi = (Decimal(v) for v in side)
+    return (
+        f"{float(Context(prec=4, rounding=ROUND_FLOOR).plus(lo)):.4g}",
+        f"{float(Context(prec=4, rounding=ROUND_CEILING).plus(hi)):.4g}",
     )
 
 

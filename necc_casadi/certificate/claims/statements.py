@@ -28,6 +28,7 @@ __all__ = [
     "MEASURED_OF_ANY_MASS",
     "MEASURED_OF_THIS_MASS",
     "NOT_MEASURED",
+    "NO_FAMILY",
     "NO_INTEGRAL",
     "NO_MOMENTA",
     "NO_NEIGHBOURHOOD",
@@ -305,6 +306,16 @@ def not_global(missing: Missing) -> str:
     return f"no global claim: {missing}"
 
 
+#: Of a family of which nothing is proved, by what became of it.
+NO_FAMILY: Mapping[str, str] = {
+    "refused": "nothing is claimed of the family: what it rests on provably fails for some of it",
+    "undecided": "nothing is claimed of the family: an identity that it rests on is undecided",
+    "not_covered": "nothing is claimed of the family: the loop is not one that it is proved for",
+    "open": "nothing is claimed of the family: its minima are not enclosed, or a condition of "
+    "V falling is open, for some of it",
+}
+
+
 def unproved(limits: Sequence[Sequence[float]]) -> Mapping[str, frozenset[str]]:
     """Everything that may be said of a claim that is made beside others, but not held."""
     return {
@@ -315,6 +326,7 @@ def unproved(limits: Sequence[Sequence[float]]) -> Mapping[str, frozenset[str]]:
         "measurement": frozenset([NOT_MEASURED]),
         "momenta": frozenset([NO_MOMENTA]),
         "setpoints": frozenset([NO_SETPOINTS, SETPOINTS_ARE_NOT_COVERED]),
+        "family": frozenset(NO_FAMILY.values()),
         "integral": frozenset([INTEGRAL_IS_NOT_COVERED, NO_INTEGRAL]),
         "sampled": frozenset(map(sampled_is_not_covered, get_args(NotSampled))),
     }

@@ -81,8 +81,7 @@ def prove_family(family: Family) -> Claim:
         return Claim("family", False, f"nothing is claimed of the family: {text}")
     error = _error(family, minima, boxes)
     ranges = {p.name: (to_float(p.range[0]), to_float(p.range[1])) for p in family.parameters}
-    units = dict(zip(family.design.loop.states, family.design.units.state.tolist(), strict=True))
-    text = statement(ranges, error, units, bool(family.moved.of("uncertain")))
+    text = statement(ranges, error, family.state_units, bool(family.moved.of("uncertain")))
     return Claim("family", True, text, FamilyClaim(family.hash, tuple(boxes), error).data)
 
 
