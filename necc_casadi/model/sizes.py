@@ -306,11 +306,11 @@ class _Local:
     def of(cls, plant: Plant, x_star: Mapping[sp.Symbol, sp.Expr]) -> _Local:
         pairs = zip(plant.grad_H, plant.x, strict=True)
         second = sp.Matrix([sp.diff(slope, s) for slope, s in pairs])
-        bends = sp.hessian(plant.H, plant.x)
+        hessian = sp.hessian(plant.H, plant.x)
         slope, curvature, bends, M, G, drift = (
             _numbers(at(sp.Matrix(matrix), x_star))
             for matrix in (
-                plant.grad_H, second, bends, plant.J - plant.R, plant.directions, plant.drift
+                plant.grad_H, second, hessian, plant.J - plant.R, plant.directions, plant.drift
             )
         )  # fmt: skip
         scale = np.abs(M) @ np.abs(slope)

@@ -15,7 +15,7 @@ from collections.abc import Callable, Mapping
 import sympy as sp
 
 from necc_casadi.errors import InputError
-from necc_casadi.symbolic.floats import to_float
+from necc_casadi.symbolic.floats import steady_precision, to_float
 
 __all__ = [
     "CONSTANTS",
@@ -71,6 +71,7 @@ _LARGEST_PRIME = 10_000  # that is taken out of a logarithm
 _DECIMAL = re.compile(r"(?:\d+\.?\d*|\.\d+)(?:[eE](?P<exponent>[+-]?\d+))?", re.ASCII)
 
 
+@steady_precision()
 def parse(text: str, symbols: Mapping[str, sp.Symbol] | None = None) -> sp.Expr:
     """Parse `text` into an exact expression over `symbols`.
 
@@ -201,6 +202,7 @@ def non_smooth_part(expr: sp.Expr) -> sp.Basic | None:
     return None
 
 
+@steady_precision()
 def parse_number(text: str, what: str, code: str, error: type[InputError]) -> sp.Expr:
     """A real constant such as ``pi/4`` or ``-0.25``, exact.
 

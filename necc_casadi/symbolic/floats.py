@@ -2,19 +2,36 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 
+import mpmath
 import numpy as np
 import sympy as sp
 
 from necc_casadi.arrays import Vector
 
-__all__ = ["float_matrix", "to_float", "to_floats"]
+__all__ = ["float_matrix", "steady_precision", "to_float", "to_floats"]
 
 
 _DIGITS = 20  # more than a double holds, so that the last of its digits is right
 
 
+@contextmanager
+def steady_precision() -> Iterator[None]:
+    """Within this, sympy may give up on a number of any size.
+
+    Where it asks mpmath for a precision beyond all floats, mpmath raises and keeps that precision:
+    every number that is evaluated afterwards would fail.
+    """
+    before = mpmath.mp.prec
+    try:
+        yield
+    finally:
+        mpmath.mp.prec = before
+
+
+@steady_precision()
 def to_float(value: sp.Expr) -> float:
     """A real constant, rounded once."""
     return float(sp.N(value, _DIGITS))

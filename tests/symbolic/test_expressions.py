@@ -1,5 +1,6 @@
 """Text to exact expressions and back: no eval, no crash, nothing lost."""
 
+import mpmath
 import pytest
 import sympy as sp
 from hypothesis import example, given, settings
@@ -14,6 +15,7 @@ from necc_casadi.symbolic.expressions import (
     parse_number,
     to_text,
 )
+from necc_casadi.symbolic.floats import steady_precision, to_float
 
 q, p = sp.symbols("q p", real=True)
 NAMES = {"q": q, "p": p}
@@ -108,6 +110,13 @@ grammar = st.recursive(
     ),
     max_leaves=6,
 )
+
+
+def test_a_number_that_is_too_large_for_mpmath_spoils_no_other():
+    with pytest.raises(OverflowError), steady_precision(), mpmath.workprec(10**400):
+        pass
+    assert parse_number("acos(1/2)", "--target", "target_value", OptionError) == sp.pi / 3
+    assert to_float(sp.acos(sp.Rational(1, 3))) == pytest.approx(1.2309594)
 
 
 @given(grammar)
