@@ -23,7 +23,8 @@ from necc_casadi.designs.layout import BROKEN
 from necc_casadi.errors import OutputError
 from necc_casadi.files import read_text, refuse_unfinished, write_text
 from necc_casadi.lyapunov.family_terms import control_law_over, value_over
-from necc_casadi.model.family_loop import FamilyLoop, NoFamily, Parameter, family_loop
+from necc_casadi.model.build_family import family_loop
+from necc_casadi.model.family_loop import FamilyLoop, NoFamily, Parameter
 from necc_casadi.model.parametric import Parametric
 from necc_casadi.model.ranges import Ranges
 from necc_casadi.symbolic.expressions import parse, to_text

@@ -8,7 +8,6 @@ mechanical plant may give ``q, M, V, B`` in their place, a plant without such a 
 from __future__ import annotations
 
 import contextlib
-import math
 import sys
 import traceback
 from collections.abc import Mapping, Sequence
@@ -18,16 +17,15 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, get_args
 
-import numpy as np
 import sympy as sp
 
 from necc_casadi.arrays import Vector
 from necc_casadi.cases import Measured
-from necc_casadi.errors import InputError, ModelError, OptionError
+from necc_casadi.errors import InputError, ModelError
+from necc_casadi.model import file_entries as entries
 from necc_casadi.model.closed_loop import ClosedLoop, interconnect
 from necc_casadi.model.control_affine import ControlAffine
 from necc_casadi.model.controller import Controller, default_controller, make_controller
-from necc_casadi.model.cost import weight_matrix
 from necc_casadi.model.measurement import canonical_inertia
 from necc_casadi.model.mechanical_file import MECHANICAL, Mechanical, is_mechanical, phase_space
 from necc_casadi.model.modulated import (
@@ -38,13 +36,12 @@ from necc_casadi.model.modulated import (
 )
 from necc_casadi.model.parametric import Parametric
 from necc_casadi.model.plant import Plant, make_plant
-from necc_casadi.model.ranges import Range, Ranges
+from necc_casadi.model.ranges import Ranges
+from necc_casadi.model.reader import Reader, inputs_inside, printable, real, source, stands_inside
 from necc_casadi.model.sizes import input_names
-from necc_casadi.symbolic.expressions import exact, parse_number
-from necc_casadi.symbolic.zero import sign
 from necc_casadi.texts import escaped
 
-__all__ = ["Model", "damping_matrix", "load_model", "make_model"]
+__all__ = ["Model", "load_model", "make_model"]
 
 
 _REQUIRED = ("x", "J", "R", "G", "H")
@@ -218,30 +215,9 @@ def _missing(space: Mapping[str, Any]) -> list[str]:
         return []
     if "f" in space and not {"J", "R", "H"} & set(space):
         return [name for name in _AFFINE if name not in space]
-    inside = any(_stands_inside(space, symbol) for symbol in _inputs_inside(space))
+    inside = any(stands_inside(space, symbol) for symbol in inputs_inside(space))
     without = {"G"} if inside else set()
     return [name for name in _REQUIRED if name not in {*space, *without}]
-
-
-def _inputs_inside(space: Mapping[str, Any]) -> tuple[sp.Symbol, ...]:
-    """The symbols that `u` names, where it names some; another u is the file's own affair."""
-    value = space.get("u")
-    symbols = value if isinstance(value, (tuple, list)) else (value,)
-    return tuple(symbols) if all(isinstance(s, sp.Symbol) for s in symbols) else ()
-
-
-def _stands_inside(space: Mapping[str, Any], symbol: sp.Symbol) -> bool:
-    """Whether a symbol stands in J or R."""
-    matrices = (space.get(name) for name in "JR")
-    return any(isinstance(A, sp.MatrixBase) and A.has(symbol) for A in matrices)
-
-
-def _source(space: Mapping[str, Any]) -> Any:
-    """The constant source `E`; another E, a modulus or a true matrix, is the file's own affair."""
-    value = space.get("E")
-    if isinstance(value, (sp.MatrixBase, np.ndarray)):
-        return None if min(value.shape, default=0) > 1 else value
-    return value if isinstance(value, (list, tuple)) else None
 
 
 def _execute(path: Path) -> dict[str, Any]:
@@ -297,15 +273,15 @@ def _mistyped(space: Mapping[str, Any]) -> tuple[str, ...]:
 def _build(title: str, space: dict[str, Any], overrides: Mapping[str, str]) -> Model:
     if is_mechanical(space):
         space = {**space, "x": phase_space(space["q"])}
-    file = _Reader(space, overrides)
+    file = Reader(space, overrides)
     plant = _plant(title, file)
     controller = _controller(plant, file) if isinstance(plant, Plant) else None
     inner = () if controller is None else controller.states
     states = (*plant.states, *inner)
     plant = replace(
         plant,
-        domain=_domain(file, states),
-        sizes=_sizes(file, (*states, *input_names(plant.m))),
+        domain=entries.sides_of_states(file, "domain", states),
+        sizes=entries.sizes(file, (*states, *input_names(plant.m))),
     )
     named = "target" in space and space["target"] is not None
     return Model(
@@ -313,25 +289,27 @@ def _build(title: str, space: dict[str, Any], overrides: Mapping[str, str]) -> M
         controller=controller,
         casimirs=tuple(file.read(c) for c in space.get("casimirs", ())),
         target={k: file.read(v) for k, v in file.table("target").items()} if named else None,
-        D=_damping(file, "D", plant.m),
-        Dc=_damping(file, "Dc", plant.m),
-        state_cost=_weight(file, "state_cost", plant.n, strict=False),
-        input_cost=_weight(file, "input_cost", plant.m, strict=True),
+        D=entries.damping(file, "D", plant.m),
+        Dc=entries.damping(file, "Dc", plant.m),
+        state_cost=entries.weight(file, "state_cost", plant.n, strict=False),
+        input_cost=entries.weight(file, "input_cost", plant.m, strict=True),
         params=file.parameters,
         ranges=Ranges(
-            _setpoints(file, plant.states), _uncertain(file), _disturbance(file, plant.m)
+            entries.sides_of_states(file, "setpoints", plant.states),
+            entries.uncertain(file),
+            entries.disturbance(file, plant.m),
         ),
         parametric=_parametric(file),
     )
 
 
-def _plant(title: str, file: _Reader) -> System:
+def _plant(title: str, file: Reader) -> System:
     """The plant, in the form that the file gives it."""
-    space, x, limits = file.space, [_real(s) for s in file.states], _limits(file)
+    space, x, limits = file.space, [real(s) for s in file.states], entries.limits(file)
     about: dict[str, Any] = {
-        "name": _printable(str(space.get("name", title)), "name"),
+        "name": printable(str(space.get("name", title)), "name"),
         "units": {
-            name: _printable(str(unit), f"units[{escaped(name)}]")
+            name: printable(str(unit), f"units[{escaped(name)}]")
             for name, unit in file.table("units").items()
         },
         "u_limits": limits,
@@ -342,10 +320,10 @@ def _plant(title: str, file: _Reader) -> System:
         )
     else:
         J, R, G, H = _structure(file, x)
-        if not file.inputs and _source(space) is None:
+        if not file.inputs and source(space) is None:
             return _measured(make_plant(x, J, R, G, H, **about), file)
-        E = None if _source(space) is None else file.read(_source(space))
-        plant = make_modulated(x, [_real(s) for s in file.inputs], J, R, G, E, H, **about)
+        E = None if source(space) is None else file.read(source(space))
+        plant = make_modulated(x, [real(s) for s in file.inputs], J, R, G, E, H, **about)
     if _wants_velocity(file):
         raise ModelError(
             "model_file",
@@ -364,9 +342,9 @@ def _plant(title: str, file: _Reader) -> System:
 _NO_VELOCITY = "Leave `measured` out: the controller takes the states."
 
 
-def _wants_velocity(file: _Reader) -> bool:
+def _wants_velocity(file: Reader) -> bool:
     """Whether the controller takes q̇; by default it does where M, V and B are the whole plant."""
-    alone = is_mechanical(file.space) and not file.inputs and _source(file.space) is None
+    alone = is_mechanical(file.space) and not file.inputs and source(file.space) is None
     value = file.space.get("measured", "velocity" if alone else "state")
     if value not in get_args(Measured):
         raise ModelError(
@@ -377,7 +355,7 @@ def _wants_velocity(file: _Reader) -> bool:
     return bool(value == "velocity")
 
 
-def _measured(plant: Plant, file: _Reader) -> Plant:
+def _measured(plant: Plant, file: Reader) -> Plant:
     """The plant with its inertia where q̇ is measured in place of p."""
     if not _wants_velocity(file):
         return plant
@@ -387,7 +365,7 @@ def _measured(plant: Plant, file: _Reader) -> Plant:
     return replace(plant, inertia=sp.ImmutableMatrix(Mechanical.of(plant.x, *parts).M))
 
 
-def _structure(file: _Reader, x: Sequence[sp.Symbol]) -> tuple[Any, Any, Any, Any]:
+def _structure(file: Reader, x: Sequence[sp.Symbol]) -> tuple[Any, Any, Any, Any]:
     """J, R, G (None where there is none) and H, with the parameters' values in them."""
     if is_mechanical(file.space):
         mechanical = Mechanical.of(x, *(file.attempt(name) for name in ("M", "V", "B", "friction")))
@@ -397,12 +375,12 @@ def _structure(file: _Reader, x: Sequence[sp.Symbol]) -> tuple[Any, Any, Any, An
     return J, R, G, H
 
 
-def _parametric(file: _Reader) -> Parametric | None:
+def _parametric(file: Reader) -> Parametric | None:
     """The plant with its parameters as symbols; it was checked with their values."""
-    if not file.parameters or file.inputs or _source(file.space) is not None:
+    if not file.parameters or file.inputs or source(file.space) is not None:
         return None
     if is_mechanical(file.space):
-        x = [_real(s) for s in file.states]
+        x = [real(s) for s in file.states]
         parts = (file.unvalued(name) for name in ("M", "V", "B", "friction"))
         J, R, G, H = Mechanical.formal(x, *parts).structure
     elif {"J", "R", "G", "H"} <= set(file.space):
@@ -414,348 +392,14 @@ def _parametric(file: _Reader) -> Parametric | None:
     return Parametric(matrix(J), matrix(R), matrix(G), energy, file.parameters)
 
 
-class _Reader:
-    """The values of a model file: exact, of real symbols, with parameters as their values."""
-
-    def __init__(self, space: Mapping[str, Any], overrides: Mapping[str, str]) -> None:
-        self.space = space
-        self.states = _symbols(space["x"], "x")
-        self.xi = _symbols(space.get("xi", ()), "xi")
-        self.inputs = [s for s in _inputs_inside(space) if _stands_inside(space, s)]
-        own = {str(s) for s in self._own}
-        self.parameters = _parameters(self.table("params"), own, overrides)
-        self._values = {s: self.parameters.get(str(s), _real(s)) for s in self._occurring()}
-
-    @property
-    def _own(self) -> list[sp.Symbol]:
-        return [*self.states, *self.xi, *self.inputs]
-
-    def _occurring(self) -> set[sp.Symbol]:
-        """Every symbol that occurs in the file."""
-        parts: list[object] = [*self._own, *dict(self.space.get("params", {}))]
-        for value in self.space.values():
-            parts += value if isinstance(value, (list, tuple)) else [value]
-        return {
-            symbol
-            for part in parts
-            if isinstance(part, (sp.Basic, sp.MatrixBase))
-            for symbol in part.free_symbols
-        }
-
-    def table(self, name: str) -> dict[str, Any]:
-        """What the file says by name of a state, an input or a parameter; empty without it."""
-        return {str(key): value for key, value in dict(self.space.get(name, {})).items()}
-
-    def read(self, value: Any) -> Any:
-        """A number, a matrix or a nested list."""
-        if isinstance(value, sp.MatrixBase):
-            return value.applyfunc(lambda entry: exact(entry).xreplace(self._values))
-        if isinstance(value, (list, tuple, np.ndarray)):
-            return [self.read(entry) for entry in value]
-        expr = exact(value)
-        return expr.xreplace({s: self._values.get(s, _real(s)) for s in expr.free_symbols})
-
-    def unvalued(self, name: str) -> Any:
-        """An entry of the plant with its parameters as symbols; None where there is none."""
-        value = self.space.get(name)
-        if value is None:
-            return None
-        whole = sp.Matrix(value) if isinstance(value, (list, tuple, np.ndarray)) else value
-        if isinstance(whole, sp.MatrixBase):
-            return whole.applyfunc(_exactly)
-        return _exactly(whole)
-
-    def attempt(self, name: str) -> Any:
-        """An entry of the plant, if there is one; what cannot be read is named by make_plant."""
-        value = self.space.get(name)
-        try:
-            return self.read(value)
-        except (TypeError, ValueError, AttributeError):
-            return value
-
-
-def _printable(text: str, label: str) -> str:
-    """A text that C comments, XML, plots and terminals can show."""
-    if escaped(text) != text:
-        raise ModelError(
-            "model_file",
-            f"{label} = '{escaped(text)}' holds characters that cannot be shown",
-            "Write it on one line, with letters, digits and signs.",
-        )
-    return text
-
-
-def _symbols(value: Any, label: str) -> list[sp.Symbol]:
-    try:
-        symbols = [value] if isinstance(value, sp.Symbol) else list(value)
-    except TypeError:
-        raise ModelError(
-            "shape", f"{label} = {value!r} is not a tuple of symbols", f"Write {label} = (q, p)."
-        ) from None
-    for symbol in symbols:
-        _printable(str(symbol), f"a name in {label}")
-    return symbols
-
-
-def _exactly(value: Any) -> sp.Expr:
-    """An entry with exact numbers, of real symbols."""
-    expr = exact(value)
-    return expr.xreplace({s: _real(s) for s in expr.free_symbols})
-
-
-def _real(symbol: sp.Symbol) -> sp.Symbol:
-    """The same symbol, real: models need not say so. What is no symbol is refused later."""
-    return sp.Symbol(symbol.name, real=True) if isinstance(symbol, sp.Symbol) else symbol
-
-
-def _parameters(
-    params: Mapping[str, object], states: set[str], overrides: Mapping[str, str]
-) -> dict[str, sp.Expr]:
-    """Exact values of the parameters, as the file or `overrides` give them."""
-    for name in overrides:
-        if name not in params:
-            known = ", ".join(params) or "none"
-            raise ModelError(
-                "param",
-                f"--param {name}: the model has no parameter {name}",
-                f"Its parameters: {known}.",
-            )
-    values = {}
-    for name, value in params.items():
-        if name in states:
-            raise ModelError(
-                "name_clash", f"{name} is a state and a parameter", "Rename one of them."
-            )
-        if name in overrides:
-            value = parse_number(overrides[name], f"--param {name}", "param", ModelError)
-        values[name] = _parameter(name, value)
-    return values
-
-
-def _parameter(name: str, value: Any) -> sp.Expr:
-    """A parameter's exact value; one that is proved to be zero is 0."""
-    try:
-        number = exact(sp.sympify(value))
-    except (sp.SympifyError, TypeError, ValueError, AttributeError):
-        raise ModelError(
-            "param",
-            f"params[{name}] = {value!r} is not a number",
-            f"Give it one: params = {{{name}: 1}}, or --param {name}=1.",
-        ) from None
-    if not number.is_number or number.is_real is not True:
-        raise ModelError(
-            "param", f"params[{name}] = {number} is not a real number", "Give it a number."
-        )
-    return sp.Integer(0) if sign(number) == 0 else number
-
-
-def _controller(plant: Plant, file: _Reader) -> Controller:
+def _controller(plant: Plant, file: Reader) -> Controller:
     given = {name: file.read(file.space[name]) for name in _CONTROLLER if name in file.space}
     if not given and "xi" not in file.space:
         return default_controller(plant)
-    xi = [_real(s) for s in file.xi]
+    xi = [real(s) for s in file.xi]
     if "xi" not in file.space:
         nc = max(sp.Matrix(matrix).rows for matrix in given.values())
         xi = list(sp.symbols([f"xi{i + 1}" for i in range(nc)], real=True))
     nc = len(xi)
     matrices = {"Jc": sp.zeros(nc, nc), "Rc": sp.zeros(nc, nc), "Gc": sp.eye(nc)} | given
     return make_controller(plant, xi, **matrices)
-
-
-def _limits(file: _Reader) -> list[tuple[float, float]] | None:
-    value = file.space.get("u_limits")
-    if value is None:
-        return None
-    result = []
-    for index, pair in enumerate(value if isinstance(value, (list, tuple)) else [value]):
-        try:
-            lo, hi = (float(file.read(bound)) for bound in pair)
-        except (TypeError, ValueError):
-            lo, hi = 1.0, 0.0
-        if not (lo < hi and math.isfinite(hi - lo)):
-            raise ModelError(
-                "limits",
-                f"u_limits[{index}] = {pair} is not a pair (lo, hi) with lo < hi",
-                "Give one pair of numbers per input, large where there is no limit.",
-            )
-        result.append((lo, hi))
-    return result
-
-
-def _domain(file: _Reader, states: Sequence[str]) -> dict[str, tuple[sp.Expr, sp.Expr]]:
-    result = {}
-    for name, bounds in file.table("domain").items():
-        if name not in states:
-            raise ModelError(
-                "domain", f"domain names {name}, which is no state", f"States: {', '.join(states)}."
-            )
-        try:
-            lo, hi = (file.read(bound) for bound in bounds)
-            ordered = bool(lo < hi) and bool(lo.is_finite and hi.is_finite)
-        except (TypeError, ValueError, AttributeError):
-            ordered = False
-        if not ordered:
-            raise ModelError(
-                "domain",
-                f"domain[{name}] = {bounds} is not a pair (lo, hi) with lo < hi",
-                "Give two finite numbers.",
-            )
-        result[name] = (lo, hi)
-    return result
-
-
-def _setpoints(file: _Reader, states: Sequence[str]) -> dict[str, Range]:
-    """Ranges in which set-points move at run time."""
-    result = {}
-    for name, side in file.table("setpoints").items():
-        if name not in states:
-            raise ModelError(
-                "domain",
-                f"setpoints names {name}, which is no state",
-                f"States: {', '.join(states)}.",
-            )
-        try:
-            lo, hi = (file.read(bound) for bound in side)
-            ordered = bool(lo < hi) and bool(lo.is_finite and hi.is_finite)
-        except (TypeError, ValueError, AttributeError):
-            ordered = False
-        if not ordered:
-            raise ModelError(
-                "domain",
-                f"setpoints[{name}] = {side} is not a pair (lo, hi) with lo < hi",
-                "Give two finite numbers.",
-            )
-        result[name] = (lo, hi)
-    return result
-
-
-def _uncertain(file: _Reader) -> dict[str, Range]:
-    """Ranges of parameters that are constant and unknown."""
-    result = {}
-    for name, side in file.table("uncertain").items():
-        value = file.parameters.get(name)
-        if value is None:
-            raise ModelError(
-                "param",
-                f"uncertain names {name}, which is no parameter",
-                f"Parameters: {', '.join(file.parameters) or 'none; write params = {m: 1}'}.",
-            )
-        try:
-            lo, hi = (file.read(bound) for bound in side)
-            held = bool(lo <= value <= hi) and bool(lo.is_finite and hi.is_finite)
-        except (TypeError, ValueError, AttributeError):
-            held = False
-        if not held:
-            raise ModelError(
-                "param",
-                f"uncertain[{name}] = {side} is not a pair (lo, hi) around {value}",
-                "Give the least and the greatest value, the nominal one between them.",
-            )
-        result[name] = (lo, hi)
-    return result
-
-
-def _disturbance(file: _Reader, m: int) -> tuple[Range, ...]:
-    """Ranges of constant disturbances, one per input."""
-    value = file.space.get("disturbance")
-    if value is None:
-        return ()
-    try:
-        sides = [(file.read(lo), file.read(hi)) for lo, hi in value]
-        ordered = all(
-            bool(lo < hi) and bool(lo.is_finite and hi.is_finite) and bool(lo <= 0 <= hi)
-            for lo, hi in sides
-        )
-    except (TypeError, ValueError, AttributeError):
-        sides, ordered = [], False
-    if not ordered or len(sides) != m:
-        raise ModelError(
-            "limits",
-            f"disturbance = {value} is not a pair (lo, hi) around 0 for each of {m} input(s)",
-            "Write disturbance = [(-0.2, 0.2)], one pair per input.",
-        )
-    return tuple(sides)
-
-
-def _sizes(file: _Reader, names: Sequence[str]) -> dict[str, sp.Expr]:
-    result = {}
-    for name, size in file.table("sizes").items():
-        if name not in names:
-            raise ModelError(
-                "model_file",
-                f"sizes names {name}, which is no state and no input",
-                f"States and inputs: {', '.join(names)}.",
-            )
-        try:
-            number = file.read(size)
-            positive = bool(number > 0) and bool(number.is_finite)
-        except (TypeError, ValueError, AttributeError):
-            positive = False
-        if not positive:
-            raise ModelError(
-                "model_file",
-                f"sizes[{name}] = {size} is not a positive number",
-                "Give what a large value of it is.",
-            )
-        result[name] = number
-    return result
-
-
-def _weight(file: _Reader, label: str, size: int, strict: bool) -> Vector | None:
-    value = file.space.get(label)
-    if value is None:
-        return None
-    numbers = np.squeeze(_numeric(file, label, value))
-    return weight_matrix(numbers, size, label, strict, ModelError, "model_file")
-
-
-def _numeric(file: _Reader, label: str, value: Any) -> Vector:
-    """A number, vector or matrix of the file, as a matrix of floats."""
-    try:
-        read = file.read(value)
-        whole = isinstance(value, (list, tuple, sp.MatrixBase, np.ndarray))
-        return np.array(sp.Matrix(sp.sympify(read) if whole else [read]).evalf(), dtype=float)
-    except (TypeError, ValueError):
-        raise ModelError(
-            "model_file", f"{label} = {value} is not numeric", "Give a number or a matrix."
-        ) from None
-
-
-def _damping(file: _Reader, label: str, m: int) -> Vector | None:
-    value = file.space.get(label)
-    if value is None:
-        return None
-    numbers = _numeric(file, label, value)
-    return damping_matrix(numbers, m, label, ModelError, "model_file")
-
-
-def damping_matrix(
-    value: Vector, m: int, label: str, error: type[InputError] = OptionError, code: str = "usage"
-) -> Vector:
-    """An m × m damping matrix from a number, a diagonal or a matrix; it must be ≻ 0.
-
-    Raises
-    ------
-    InputError
-        Of the given class and code, when the shape or the definiteness is wrong.
-    """
-    numbers = np.atleast_1d(np.squeeze(np.asarray(value, float)))
-    if numbers.size == 1:
-        matrix = np.diag(np.full(m, numbers.ravel()[0]))
-    elif numbers.shape == (m,):
-        matrix = np.diag(numbers)
-    else:
-        matrix = numbers
-    if matrix.shape != (m, m) or not np.allclose(matrix, matrix.T, rtol=0, atol=0):
-        raise error(
-            code,
-            f"{label} = {np.asarray(value).tolist()} is not a symmetric {m}×{m} matrix",
-            f"Give a positive number, {m} of them (a diagonal), or a symmetric {m}×{m} matrix.",
-        )
-    if not np.all(np.isfinite(matrix)) or np.linalg.eigvalsh(matrix)[0] <= 0:
-        raise error(
-            code,
-            f"{label} = {matrix.tolist()} is not positive definite",
-            "Damping takes energy out: every eigenvalue must be positive.",
-        )
-    return matrix

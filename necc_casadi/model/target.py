@@ -11,6 +11,7 @@ import sympy as sp
 from necc_casadi.arrays import Vector
 from necc_casadi.errors import TargetError
 from necc_casadi.model.control_affine import ControlAffine, Equilibria
+from necc_casadi.symbolic.elimination import eliminated
 from necc_casadi.symbolic.expressions import parse_number
 from necc_casadi.symbolic.floats import to_floats
 from necc_casadi.symbolic.linear_algebra import kernel
@@ -314,23 +315,13 @@ def _solutions(
 ) -> list[dict[sp.Symbol, sp.Expr]]:
     """All real solutions; linear equations first, then sympy's solver on what remains."""
     equations = [sp.simplify(e.subs(given)) for e in _equilibrium_equations(plant)]
-    if any(_contradicts(e) for e in equations):
+    solved, left = eliminated(equations, unknown)
+    if any(_contradicts(e) for e in left):
         return []
-    equations = [e for e in equations if e.free_symbols]
-    solved: dict[sp.Symbol, sp.Expr] = {}
-    while True:  # one linear equation in one unknown at a time: most states are of this kind
-        step = _linear_step(equations)
-        if step is None:
-            break
-        symbol, value = step
-        solved = {s: v.subs(symbol, value) for s, v in solved.items()} | {symbol: value}
-        equations = [sp.simplify(e.subs(symbol, value)) for e in equations]
-        if any(_contradicts(e) for e in equations):
-            return []
-        equations = [e for e in equations if e.free_symbols]
+    equations = [e for e in left if e.free_symbols]
     rest = [s for s in unknown if s not in solved]
     if not equations:
-        return [solved | {}]
+        return [solved]
     try:
         found = sp.solve(equations, rest, dict=True)
     except NotImplementedError:
@@ -354,16 +345,3 @@ def _is_complex(value: sp.Expr) -> bool:
 def _contradicts(equation: sp.Expr) -> bool:
     """Whether an equation e = 0 is certainly violated; a constant that may be 0 says nothing."""
     return not equation.free_symbols and is_zero(equation) is False
-
-
-def _linear_step(equations: list[sp.Expr]) -> tuple[sp.Symbol, sp.Expr] | None:
-    for equation in equations:
-        symbols = equation.free_symbols
-        if len(symbols) != 1:
-            continue
-        symbol = next(iter(symbols))
-        polynomial = equation.as_poly(symbol)
-        if polynomial is not None and polynomial.degree() == 1:
-            a, b = polynomial.all_coeffs()
-            return symbol, -b / a
-    return None

@@ -22,7 +22,8 @@ from necc_casadi.cases import (
     Shape,
 )
 from necc_casadi.errors import ModelError, OptionError
-from necc_casadi.model.model_file import Model, damping_matrix, load_model
+from necc_casadi.model.file_entries import damping_matrix
+from necc_casadi.model.model_file import Model, load_model
 from necc_casadi.model.plant import Plant
 from necc_casadi.model.target import free_coordinates, parse_target, target_from_model
 from necc_casadi.pipeline.ranges import middle_of_target

@@ -23,7 +23,8 @@ from necc_casadi.folders import whole_folder
 from necc_casadi.interrupts import uninterrupted
 from necc_casadi.methods.find import Found, find_method
 from necc_casadi.methods.method import Method
-from necc_casadi.model.family_loop import NoFamily, family_loop
+from necc_casadi.model.build_family import family_loop
+from necc_casadi.model.family_loop import NoFamily
 from necc_casadi.model.lagrangian import Plants
 from necc_casadi.model.model_file import Model
 from necc_casadi.model.plant import Plant

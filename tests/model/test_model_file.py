@@ -10,7 +10,8 @@ from helpers.models import BASE, FAULTS
 from helpers.problems import PENDULUM
 
 from necc_casadi.errors import InputError, ModelError, OptionError
-from necc_casadi.model.model_file import damping_matrix, load_model
+from necc_casadi.model.file_entries import damping_matrix
+from necc_casadi.model.model_file import load_model
 
 IDS = [f"{code}: {text[:40]}" for code, text, *_ in FAULTS]
 
