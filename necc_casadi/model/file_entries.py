@@ -80,6 +80,8 @@ def uncertain(file: Reader) -> dict[str, Range]:
                 f"uncertain names {name}, which is no parameter",
                 f"Parameters: {', '.join(file.parameters) or 'none; write params = {m: 1}'}.",
             )
+        if not name.isidentifier():  # it stands in sentences that are proved
+            raise ModelError("param", f"uncertain names {name}, which is no word", "Rename it.")
         pair = _pair(file, side)
         if pair is None or not pair[0] <= value <= pair[1]:
             raise ModelError(

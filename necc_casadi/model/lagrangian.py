@@ -61,6 +61,8 @@ def varied_plant(plant: Plant, plants: Plants | None) -> Plant | None:
     linear = any(is_zero(sp.diff(rest, s)) is not True for s in p)
     if (varied.J, varied.G) != (plant.J, plant.G) or inverse.free_symbols & set(p) or linear:
         return None
+    if any(is_zero(v) is not True for v in varied.R - varied.R.T):
+        return None
     if any(varied.R[:k, :]) or any(varied.R[:, :k]) or varied.R.free_symbols & set(plant.x):
         return None
     inertia = sp.ImmutableMatrix(inverse.inv().applyfunc(tidy))

@@ -83,6 +83,8 @@ def parse(text: str, symbols: Mapping[str, sp.Symbol] | None = None) -> sp.Expr:
     if len(text) > _MAX_LENGTH:
         raise ValueError(f"the expression is longer than {_MAX_LENGTH} characters")
     source = text.strip()
+    if "#" in source or not source.isprintable():  # a comment could say anything beside a number
+        raise ValueError(f"{_shown(source)} is not an expression")
     try:
         tree = ast.parse(source, mode="eval")
     except (SyntaxError, ValueError, MemoryError, RecursionError):

@@ -309,3 +309,12 @@ def test_ranges_that_are_none(tmp_path, line, piece):
     with pytest.raises(ModelError) as fault:
         load_model(tmp_path / "own.py")
     assert (fault.value.code, piece in str(fault.value)) == ("param", True)
+
+
+def test_a_design_with_integral_action_is_not_sound_without_its_claim(folder, tmp_path):
+    """What else is claimed of solutions is of the loop with ζ = 0, as this claim alone says."""
+    data = json.loads((folder / "certificate.json").read_text(encoding="utf-8"))
+    data["claims"] = [c for c in data["claims"] if c["name"] != "integral"]
+    (tmp_path / "certificate.json").write_text(json.dumps(data), encoding="utf-8")
+    (tmp_path / "design.json").write_bytes((folder / "design.json").read_bytes())
+    assert verdicts(tmp_path)["integral"] is False

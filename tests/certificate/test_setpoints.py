@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import sympy as sp
 from helpers.certificates import claim, verdicts, written
-from helpers.velocity import arm, pendulum
+from helpers.velocity import arm, mechanical_loop, pendulum, sprung
 
 from necc_casadi.certificate.claims import statements
 from necc_casadi.certificate.prover.setpoints import prove_setpoints
@@ -46,6 +46,14 @@ def test_numbers_that_were_not_proved_are_found_out(folder, tmp_path, key, facto
     ranges = {"q": ("-2", "2")}
     level = held["data"]["level"] * made.units.energy
     held["statement"] = statements.setpoints(level, widths, held["data"]["away"], ranges)
+    (tmp_path / "certificate.json").write_text(json.dumps(data), encoding="utf-8")
+    (tmp_path / "design.json").write_bytes((folder / "design.json").read_bytes())
+    assert verdicts(tmp_path)["setpoints"] is False
+
+
+def test_set_points_that_move_need_their_claim(folder, tmp_path):
+    data = json.loads((folder / "certificate.json").read_text(encoding="utf-8"))
+    data["claims"] = [c for c in data["claims"] if c["name"] != "setpoints"]
     (tmp_path / "certificate.json").write_text(json.dumps(data), encoding="utf-8")
     (tmp_path / "design.json").write_bytes((folder / "design.json").read_bytes())
     assert verdicts(tmp_path)["setpoints"] is False
@@ -93,3 +101,14 @@ def test_set_points_that_are_none(tmp_path, line, piece):
     with pytest.raises(ModelError) as fault:
         load_model(tmp_path / "own.py")
     assert (fault.value.code, piece in str(fault.value)) == ("domain", True)
+
+
+def test_no_box_reaches_where_the_inertia_is_negative():
+    """Beyond |q| = 1 the whole energy is below E, however high E is there."""
+    q = sp.Symbol("q", real=True)
+    loop, casimirs = mechanical_loop(1 - q**2, q**2 / 2, 1, q)
+    made = sprung(loop, casimirs, [sp.Integer(0)], 4, 4, 2, 0.5)
+    reach = {"q": (sp.Rational(-1, 10), sp.Rational(1, 10))}
+    found = prove_setpoints(replace(made, setpoints=reach))
+    assert found.holds
+    assert found.data["half_widths"][0] * made.units.state[0] < 0.9

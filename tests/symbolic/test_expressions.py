@@ -112,6 +112,16 @@ grammar = st.recursive(
 )
 
 
+@pytest.mark.parametrize("text", ["50 # and any mass", "1/2\n", "(1 +\n2)", "1\t+ 2", "\x1b[2J1"])
+def test_nothing_but_the_expression_may_stand_there(text):
+    """What is stated of a range is its text."""
+    if text == text.strip():
+        with pytest.raises(ValueError, match="is not an expression"):
+            parse(text)
+    else:
+        assert parse(text) == sp.Rational(1, 2)
+
+
 def test_a_number_that_is_too_large_for_mpmath_spoils_no_other():
     with pytest.raises(OverflowError), steady_precision(), mpmath.workprec(10**400):
         pass

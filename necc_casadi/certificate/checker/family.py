@@ -85,6 +85,8 @@ class _Parameter:
         self.nominal = parse(_short(entry["nominal"]), {})
         if self.kind not in ("setpoint", "uncertain", "disturbance"):
             raise ValueError(f"no such kind: {self.kind!r:.20}")
+        if self.kind != "setpoint" and not self.name.isidentifier():
+            raise ValueError("a parameter whose name is no word")
 
     @property
     def side(self) -> Side:
@@ -112,6 +114,9 @@ class _StoredFamily:
             raise ValueError("family.json names other states, or too many parameters")
         pairs = zip(entries, names[N:], strict=True)
         self.parameters = [_Parameter(entry, name) for entry, name in pairs]
+        moved = {p.name for p in self.parameters if p.kind == "setpoint"}
+        if not moved <= set(model.states[:n]):
+            raise ValueError("family.json moves what is no state of the plant")
         S, U = rationals(model.units.state[:n]), rationals(model.input_units)
         E, T = rationals([model.units.energy, model.units.time])
         known = dict(zip(names, [*model.z, *self.symbols], strict=True))

@@ -41,7 +41,9 @@ def check_integral(
     """
     model = evidence.model
     if not evidence.claimed("integral"):
-        return None
+        if model.integral is None:
+            return None  # what else is claimed of solutions would be of the loop with ζ = 0
+        return Checked("integral", False, "nothing is claimed of the integral action of the design")
     level = evidence.number("integral", "level")
     widths = [float(v) for v in evidence.claims["integral"].data["half_widths"]]
     limits = model.integral.stated if model.integral is not None else [0.0]
@@ -66,6 +68,7 @@ def check_integral(
             ("Casimirs, structure and measurement", lambda: sound),
             ("the box keeps the bounds of the model", partial(fall.keeps_bounds, box)),
             ("a minimum of Hc + K at q*", lambda: fall.xi_bar is not None),
+            ("M ≻ 0 in the box", partial(fall.has_mass, box)),
             ("E_W above the level on the sides", partial(fall.is_closed, box)),
             ("S ≻ 0 where E_W is not above the level", partial(fall.falls_in, box)),
         ],

@@ -47,7 +47,9 @@ def _needs_no_mass(model: StoredDesign) -> bool:
     published = not isinstance(model.loop, StoredShaping) and model.ahead is None
     k = model.n // 2
     momenta = set(model.z[k : model.n])
-    seen = set().union(*(entry.free_symbols for entry in (*model.casimirs, *model.G)))
+    seen = set().union(
+        *(entry.free_symbols for entry in (*model.casimirs, *model.G, *model.J[:k, :]))
+    )
     unresisted = all(entry == 0 for entry in model.R[:k, :])
     canonical = all(
         bool(model.J[i, j].is_positive) if j == k + i else model.J[i, j] == 0

@@ -21,11 +21,13 @@ def stated_ranges(evidence: Evidence, claim: str) -> dict[str, tuple[str, str]]:
     Raises
     ------
     ValueError
-        When a range has not two ends.
+        When a range has not two ends, or its name is no word.
     """
     ranges = {}
     for name, side in evidence.claims[claim].data.get("uncertain", {}).items():
         lo, hi = map(str, side)
+        if not str(name).isidentifier():
+            raise ValueError("a parameter whose name is no word")
         ranges[str(name)] = lo, hi
     return ranges
 
@@ -74,6 +76,7 @@ class StoredPlants:
         pairs = [(self.H, model.H), *zip(self.R, model.R, strict=True)]
         same = all(is_zero(a.xreplace(at) - b) is True for a, b in pairs)
         own = [*(self.J - model.J), *(self.G - model.G), *self.R[:k, :], *self.R[:, :k]]
+        own += [*(self.R - self.R.T)]
         rest = self.H - (sp.Matrix(self.p).T * self.inverse * sp.Matrix(self.p))[0, 0] / 2
         own += [sp.diff(rest, s) for s in self.p]
         plain = not any(set(self.p) & v.free_symbols for v in self.inverse)

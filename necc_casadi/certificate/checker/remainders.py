@@ -221,6 +221,18 @@ class StoredRemainders(ABC):
 
         return by_bisection(box, settled, _DEPTH)
 
+    def has_mass(self, box: Box) -> bool:
+        """M ≻ 0 on the whole box: where it is not, E > c says nothing of the whole energy."""
+        k = self.k
+
+        def positive_there(cell: Box) -> bool:
+            e = [ball(*side) for side in cell[:k]]
+            here = {s: v + d for s, v, d in zip(self.q, self.q_star, e, strict=True)}
+            return positive(self.inertia(here | self.known(cell)), 0.0)
+
+        counts = [i < k or i >= 2 * k for i in range(len(box))]  # M does not depend on ξ
+        return by_bisection(box, positive_there, _DEPTH, counts)
+
     def _is_high(self, box: Box) -> bool:
         return bool(self._energy(box) > self.level)
 

@@ -19,13 +19,15 @@ __all__ = ["check_setpoints"]
 
 
 def check_setpoints(evidence: Evidence, sound: bool) -> Checked | None:
-    """The claim about set-points; None where nothing is claimed.
+    """The claim about set-points; None for a design whose set-point does not move.
 
     `sound`: V falls, and what is measured is proved.
     """
-    if not evidence.claimed("setpoints"):
-        return None
     model = evidence.model
+    if not evidence.claimed("setpoints"):
+        if not model.setpoints:
+            return None
+        return Checked("setpoints", False, "nothing is claimed of the set-points that move")
     level, mu, away = (evidence.number("setpoints", key) for key in ("level", "mu", "away"))
     widths = [float(v) for v in evidence.claims["setpoints"].data["half_widths"]]
     kept = [*range(model.n // 2), *range(model.n, len(model.z))]
@@ -45,6 +47,7 @@ def check_setpoints(evidence: Evidence, sound: bool) -> Checked | None:
             ("V falls, and what is measured", lambda: sound),
             ("the box keeps the bounds of the model", partial(held.keeps_bounds, box)),
             ("a minimum of Hc + K at q*", lambda: held.xi_bar is not None),
+            ("M ≻ 0 in the box", partial(held.has_mass, box)),
             ("V above the level on the sides", partial(held.is_closed, box)),
             ("mean slopes ⪰ μI where V is not", partial(held.falls_in, box)),
             ("how far from the set-point it rests", lambda: bool(held.away() <= away)),

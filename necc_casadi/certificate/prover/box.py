@@ -66,6 +66,10 @@ class Terms(ABC):
         """E over boxes, (B,)."""
 
     @abstractmethod
+    def has_mass(self, Z: Interval) -> Truth:
+        """Whether M ≻ 0 on boxes, (B,): only then is E a bound of the whole energy."""
+
+    @abstractmethod
     def falls(self, Z: Interval) -> Truth:
         """Whether what has to hold below the level does, (B,)."""
 
@@ -107,6 +111,8 @@ def _promising(terms: Terms) -> list[tuple[float, Vector, float]]:
         if not (np.isfinite(least) and least > 0):
             continue
         level, Z = least, inside * scale
+        if not np.all(terms.has_mass(point(Z))):
+            continue
         below = terms.energy(point(Z)).lo <= level
         if np.all(terms.falls(point(Z[below]))):
             found.append((level * float(below.mean() * half.prod()), half, level))
@@ -165,8 +171,8 @@ def _over_all(terms: Terms, Z: Interval) -> Interval:
 
 
 def _settled(terms: Terms, E: Interval, Z: Interval, level: float) -> Truth:
-    """E_W > c or S ≻ 0."""
-    high: Truth = np.asarray(E.lo > level)
+    """M ≻ 0, and E_W > c or S ≻ 0."""
+    high: Truth = np.asarray((E.lo > level) & terms.has_mass(Z))
     result = high.copy()
     if not high.all():
         result[~high] = terms.falls(Z[~high])

@@ -12,6 +12,7 @@ from itertools import pairwise
 import numpy as np
 import sympy as sp
 
+from necc_casadi.arrays import Truth
 from necc_casadi.certificate.prover.arithmetic.boxes import matrix_enclosure
 from necc_casadi.certificate.prover.arithmetic.definite import norm, positive_definite
 from necc_casadi.certificate.prover.arithmetic.intervals import (
@@ -181,6 +182,13 @@ class Remainders(Terms):
             for i, s in enumerate(self.plant.q)
         ]
         return matrix_enclosure(M, symbols, at), reduce(lambda a, b: a + b, parts)
+
+    def has_mass(self, Z: Interval) -> Truth:
+        """Whether M ≻ 0 on boxes (B, 2m + parameters)."""
+        with np.errstate(all="ignore"):
+            e, theta = Z[:, : self.k], Z[:, 2 * self.m :]
+            at = beside(e + np.broadcast_to(self.q_star, e.shape), theta)
+            return np.asarray(positive_definite(self.inertia(at, e)[0]))
 
     def mean_slopes(self, Z: Interval) -> tuple[Interval, Interval, Interval]:
         """∇²U, ∇²Hc and N_ξ∇²K N_ξᵀ, averaged from rest to any point of boxes, (B, m, m) each.
