@@ -81,6 +81,12 @@ def family_loop(
             "would stand in the control law",
         )
     parameters = _parameters(loop, x_star, ranges, parametric)
+    names = [p.name for p in parameters]
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if twice:
+        return NoFamily(
+            "not_covered", f"{twice[0]} names a parameter and something else that has a range"
+        )
     unknown = [p for p in parameters if p.kind == "uncertain"]
     varied = _with_symbols(plant, unknown, parametric)
     builder = _Builder(loop, tuple(casimirs), tuple(x_star), parameters, varied)

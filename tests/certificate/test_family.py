@@ -10,9 +10,12 @@ import sympy as sp
 from helpers.problems import problem, solve
 
 from necc_casadi.certificate.checker.check import check
+from necc_casadi.certificate.claims.family import statement as words
 from necc_casadi.certificate.prover.certify import certify
 from necc_casadi.certificate.prover.family import prove_family
 from necc_casadi.designs.family import lift
+from necc_casadi.designs.plant_file import plant_text
+from necc_casadi.errors import OutputError
 from necc_casadi.model.model_file import load_model
 from necc_casadi.model.ranges import Ranges
 from necc_casadi.synthesis.options import Options
@@ -63,6 +66,14 @@ def written(family, claim):
     return family.design.text, family.text, json.loads(whole.to_json())
 
 
+@pytest.fixture
+def folder(family, task, tmp_path):
+    """A folder with plant.json, which says what the unknown parameters do."""
+    text = plant_text(family.design, task.model.parametric)
+    (tmp_path / "plant.json").write_text(text, encoding="utf-8")
+    return tmp_path
+
+
 def checked(folder, design, family, certificate):
     (folder / "design.json").write_text(design, encoding="utf-8")
     (folder / "family.json").write_text(family, encoding="utf-8")
@@ -70,9 +81,9 @@ def checked(folder, design, family, certificate):
     return {result.name: result for result in check(folder)}
 
 
-def test_it_is_proved_and_checked(claim, written, tmp_path):
+def test_it_is_proved_and_checked(claim, written, folder):
     assert claim.holds, claim.statement
-    results = checked(tmp_path, *written)
+    results = checked(folder, *written)
     assert all(result.holds for result in results.values()), results
     assert results["family"].statement == claim.statement
 
@@ -135,11 +146,16 @@ def family_claim(certificate):
 
 
 @pytest.mark.parametrize("alter", [shrink, drop, move])
-def test_an_altered_claim_does_not_hold(alter, written, tmp_path):
+def test_an_altered_claim_does_not_hold(alter, written, folder):
     design, family, certificate = written
     certificate = json.loads(json.dumps(certificate))
     alter(certificate)
-    assert not checked(tmp_path, design, family, certificate)["family"].holds
+    assert not checked(folder, design, family, certificate)["family"].holds
+
+
+def renamed(parameters, k, **entries):
+    """One of the parameters with other entries."""
+    return [p | entries if i == k else p for i, p in enumerate(parameters)]
 
 
 @pytest.mark.parametrize(
@@ -148,11 +164,21 @@ def test_an_altered_claim_does_not_hold(alter, written, tmp_path):
         ("H", lambda H: f"{H} + q**4", "the plant of the design"),
         ("H", lambda H: f"{H} + (r_q - pi/4)*q**2", "seen from the set-point"),
         ("feedforward", lambda u: [f"{u[0]} + r_q - pi/4"], "seen from the set-point"),
-        ("x_star", lambda x: ["2*r_q", "0"], "the target at r₀"),
+        ("x_star", lambda x: ["r_q", "1"], "the target at r₀"),
+        ("x_star", lambda x: ["2*r_q", "0"], "what its name says"),
         ("R", lambda R: [["0", "0"], ["0", "m - 1"]], "R ⪰ 0"),
+        ("feedforward", lambda u: [f"{u[0]} - d_u"], "set-points alone"),
+        ("feedforward", lambda u: [f"m*g*({u[0]})"], "set-points alone"),
+        ("feedforward", lambda u: [f"{u[0]} - (q - pi/4)*(r_q - pi/4)"], "set-points alone"),
+        ("x_star", lambda x: ["pi/4 + (r_q - pi/4)/1000", "0"], "what its name says"),
+        ("parameters", lambda ps: renamed(ps, 1, name="g"), "what its name says"),
+        ("parameters", lambda ps: renamed(ps, 2, name="q"), "what its name says"),
+        ("parameters", lambda ps: renamed(ps, 3, nominal="5"), "what its name says"),
+        ("parameters", lambda ps: renamed(ps, 3, name="d_u2"), "what its name says"),
+        ("H", lambda H: H.replace("g*m", "g").replace("(2*m)", "2"), "what plant.json says"),
     ],
 )
-def test_a_loop_that_is_not_of_the_plant_is_found_out(entry, change, fault, written, tmp_path):
+def test_a_loop_that_is_not_of_the_plant_is_found_out(entry, change, fault, written, folder):
     import hashlib
 
     design, family, certificate = written
@@ -161,13 +187,32 @@ def test_a_loop_that_is_not_of_the_plant_is_found_out(entry, change, fault, writ
     text = json.dumps(data)
     certificate = json.loads(json.dumps(certificate))
     family_claim(certificate)["data"]["family"] = hashlib.sha256(text.encode()).hexdigest()
-    result = checked(tmp_path, design, text, certificate)["family"]
+    result = checked(folder, design, text, certificate)["family"]
     assert not result.holds
     assert fault in result.statement
 
 
-def test_the_file_must_be_the_one_that_was_claimed_about(written, tmp_path):
+def test_the_file_must_be_the_one_that_was_claimed_about(written, folder):
     design, family, certificate = written
-    result = checked(tmp_path, design, family + " ", certificate)["family"]
+    result = checked(folder, design, family + " ", certificate)["family"]
     assert not result.holds
     assert "family.json" in result.statement
+
+
+def test_of_unknown_parameters_nothing_holds_without_the_plant(written, tmp_path):
+    result = checked(tmp_path, *written)["family"]
+    assert not result.holds
+    assert "plant.json" in result.statement
+
+
+def test_a_name_that_writes_lines_is_refused(written, folder):
+    design, family, certificate = written
+    data = json.loads(family)
+    data["parameters"] = renamed(data["parameters"], 1, name="m\nglobal holds")
+    with pytest.raises(OutputError, match="cannot be shown"):
+        checked(folder, design, json.dumps(data), certificate)
+
+
+def test_no_more_of_a_range_is_told_than_is_proved():
+    told = words({"q": (-0.49999951, 2 / 3), "m": (0.9, 1.1)}, {"q": (0.0, 0.0)}, {"q": 1.0}, False)
+    assert told.startswith("for every q in [-0.499999, 0.666666], m in [0.9, 1.1]:")

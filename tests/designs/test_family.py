@@ -217,3 +217,12 @@ def test_the_dc_motor_moves_along_its_equilibria(tmp_path):
         member.lyapunov.gradient(member.z_star), family.member().lyapunov.gradient(member.z_star),
         rtol=0, atol=1e-12,
     )  # fmt: skip
+
+
+def test_a_parameter_that_is_called_as_a_disturbance_is_no_family(tmp_path):
+    text = PENDULUM.replace("m, g, b, k", "m, g, b, k, d_u").replace("k: 1}", "k: 1, d_u: 1}")
+    task = made_of(tmp_path, text.replace("m * g *", "m * g * d_u *"), "pi/4")
+    ranges = Ranges({}, {"d_u": (S(9, 10), S(11, 10))}, ((S(-1, 10), S(1, 10)),))
+    found = lift(solve(task, SMALL), ranges, task.model.parametric)
+    assert isinstance(found, NoFamily)
+    assert "d_u names a parameter" in found.text

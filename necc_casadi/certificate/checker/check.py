@@ -72,7 +72,7 @@ def check(folder: Path) -> tuple[Checked, ...]:
         found = _everything(evidence, plant)
         own = hashlib.sha256(design_text.encode()).hexdigest()
         if evidence.claimed("family"):
-            found.append(check_family(evidence, folder, own))
+            found.append(check_family(evidence, folder, own, plant))
         results = [_as_worded(evidence, result) for result in found]
         contents = check_contents(evidence, results)
     except _UNREADABLE as problem:

@@ -1,19 +1,13 @@
-"""A family: what stands in family.json, and every claim about it proved again in Arb balls.
-
-The loop there is seen from the set-point. It is tied to the plant of design.json by algebra: at the
-nominal ϑ it is that plant, and for every other one its flow is that of a plant with the unknown
-parameters at x̂ + x*(r) − x*(r₀), with the feed-forward and the disturbance on its inputs.
-"""
+"""A family: every claim about what stands in family.json proved again in Arb balls."""
 
 from __future__ import annotations
 
 import copy
 import hashlib
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import sympy as sp
@@ -24,32 +18,30 @@ from necc_casadi.certificate.checker.arithmetic.definite import middle_of, posit
 from necc_casadi.certificate.checker.arithmetic.potential import Energy, hessian_hull
 from necc_casadi.certificate.checker.arithmetic.smooth import is_smooth_on
 from necc_casadi.certificate.checker.evidence import Checked, Evidence, Obligation
-from necc_casadi.certificate.checker.model import StoredDesign
-from necc_casadi.certificate.checker.units import rationals
+from necc_casadi.certificate.checker.stored_family import StoredFamily
 from necc_casadi.certificate.claims.family import FAMILY_FILE, FamilyBox, FamilyClaim, statement
 from necc_casadi.certificate.claims.regions import Side
 from necc_casadi.files import read_text
-from necc_casadi.symbolic.expressions import parse
-from necc_casadi.symbolic.semidefinite import is_positive_semidefinite
-from necc_casadi.symbolic.zero import is_zero
 
 __all__ = ["check_family"]
 
 
-#: Bytes of family.json, parameters, boxes, and letters of an expression.
-_LARGEST, _MOST, _MOST_BOXES, _LONGEST = 1 << 24, 50, 10_000, 20_000
+#: Bytes of family.json, and boxes.
+_LARGEST, _MOST_BOXES = 1 << 24, 10_000
 
 
 #: How often a box of ϑ may be halved.
 _HALVINGS = 12
 
 
-def check_family(evidence: Evidence, folder: Path, design_hash: str) -> Checked:
-    """Every ϑ: V_ϑ falls, and z̄(ϑ) is where the certificate says."""
+def check_family(
+    evidence: Evidence, folder: Path, design_hash: str, plant_file: Callable[[], str | None]
+) -> Checked:
+    """Every ϑ: V_ϑ falls, and z̄(ϑ) is where the certificate says; `plant_file` gives plant.json."""
     claim = FamilyClaim.read(evidence.claims["family"].data)
     text = read_text(folder / FAMILY_FILE, _LARGEST)
     data = json.loads(text)
-    family = _StoredFamily(evidence.model, data)
+    family = StoredFamily(evidence.model, data)
     minima = _Minima(family)
     sides = {p.name: p.side for p in family.parameters}
     units = dict(zip(evidence.model.states, evidence.model.units.state, strict=True))
@@ -67,6 +59,10 @@ def check_family(evidence: Evidence, folder: Path, design_hash: str) -> Checked:
     obligations = [
         *own,
         *family.obligations(),
+        (
+            "unknown parameters do what plant.json says",
+            lambda: not unknown or family.is_written_in(plant_file()),
+        ),
         ("the boxes cover the ranges", lambda: _cover(family.exact, claim.boxes)),
         ("everything is smooth on the boxes", lambda: minima.smooth(claim.boxes)),
         ("the minimum is where it is claimed", lambda: all(map(minima.holds, claim.boxes))),
@@ -75,168 +71,10 @@ def check_family(evidence: Evidence, folder: Path, design_hash: str) -> Checked:
     return Checked.by("family", worded, obligations)
 
 
-class _Parameter:
-    """A symbol with a range, in the units of the model."""
-
-    def __init__(self, entry: Mapping[str, Any], symbol: str) -> None:
-        self.name, self.kind = str(entry["name"]), entry["kind"]
-        self.symbol = sp.Symbol(symbol, real=True)
-        self.lo, self.hi = (parse(_short(v), {}) for v in entry["range"])
-        self.nominal = parse(_short(entry["nominal"]), {})
-        if self.kind not in ("setpoint", "uncertain", "disturbance"):
-            raise ValueError(f"no such kind: {self.kind!r:.20}")
-        if self.kind != "setpoint" and not self.name.isidentifier():
-            raise ValueError("a parameter whose name is no word")
-
-    @property
-    def side(self) -> Side:
-        """The range as doubles near its ends, for words."""
-        lo, hi = (evaluate(v, {}) for v in (self.lo, self.hi))
-        return float(lo.mid()), float(hi.mid())
-
-
-def _short(text: Any) -> str:
-    if not isinstance(text, str) or len(text) > _LONGEST:
-        raise ValueError(f"no expression, or one of more than {_LONGEST} characters")
-    return text
-
-
-class _StoredFamily:
-    """family.json as expressions in natural units."""
-
-    def __init__(self, model: StoredDesign, data: Mapping[str, Any]) -> None:
-        self.model = model
-        names, entries = data["symbols"], data["parameters"]
-        N, n = len(model.z), model.n
-        if not (data["format"] == 1 and len(names) == N + len(entries) == len(set(names))):
-            raise ValueError("family.json has another format, or symbols of other states")
-        if names[:N] != list(model.symbols) or len(entries) > _MOST:
-            raise ValueError("family.json names other states, or too many parameters")
-        pairs = zip(entries, names[N:], strict=True)
-        self.parameters = [_Parameter(entry, name) for entry, name in pairs]
-        moved = {p.name for p in self.parameters if p.kind == "setpoint"}
-        if not moved <= set(model.states[:n]):
-            raise ValueError("family.json moves what is no state of the plant")
-        S, U = rationals(model.units.state[:n]), rationals(model.input_units)
-        E, T = rationals([model.units.energy, model.units.time])
-        known = dict(zip(names, [*model.z, *self.symbols], strict=True))
-        scale = {s: u * s for s, u in zip(model.z, S, strict=False) if u != 1}
-
-        def read(text: Any) -> sp.Expr:
-            found = parse(_short(text), known)
-            if found.free_symbols & set(model.z[n:]):
-                raise ValueError("the plant of a family knows no controller state")
-            return found.xreplace(scale)
-
-        def matrix(rows: Any, unit: Any) -> sp.Matrix:
-            return sp.Matrix(
-                [[read(v) * unit(i, j) for j, v in enumerate(row)] for i, row in enumerate(rows)]
-            )
-
-        self.H = read(data["H"]) / E
-        self.J, self.R = (matrix(data[k], lambda i, j: T * E / (S[i] * S[j])) for k in "JR")
-        self.G = matrix(data["G"], lambda i, j: T * U[j] / S[i])
-        self.x_star = [read(v) / s for v, s in zip(data["x_star"], S, strict=True)]
-        self.feed = sp.Matrix([read(v) / u for v, u in zip(data["feedforward"], U, strict=True)])
-        if (self.J.shape, self.R.shape, self.G.shape) != ((n, n), (n, n), (n, model.m)):
-            raise ValueError("the matrices of family.json do not fit the plant")
-        self.U = U
-
-    @property
-    def symbols(self) -> list[sp.Symbol]:
-        """ϑ."""
-        return [p.symbol for p in self.parameters]
-
-    @property
-    def exact(self) -> list[tuple[arb, arb]]:
-        """The ranges, as balls around their ends."""
-        return [(evaluate(p.lo, {}), evaluate(p.hi, {})) for p in self.parameters]
-
-    def obligations(self) -> list[Obligation]:
-        """What makes this the family of the design, and V fall for all of it."""
-        return [
-            ("Φ is the sum", lambda: self.model.form["phi"] is None),
-            ("the loop is the published one", self._is_published),
-            ("at the nominal parameters it is the plant of the design", self._is_of_the_design),
-            ("x*(r) is the target at r₀", self._starts_at_the_target),
-            ("it is the plant seen from the set-point", self._is_the_plant),
-            ("J = −Jᵀ and R = Rᵀ for every parameter", self._is_symmetric),
-            ("R ⪰ 0 for every parameter", self._dissipates),
-            ("∇Cᵀ(Jcl − Rcl) = 0 for every parameter", self._has_casimirs),
-            ("no unknown stands in the damping", self._is_known),
-        ]
-
-    def _is_published(self) -> bool:
-        return self.model.ahead is None and hasattr(self.model.loop, "Gc")
-
-    def _nominal(self, kinds: Sequence[str]) -> dict[sp.Symbol, sp.Expr]:
-        return {p.symbol: p.nominal for p in self.parameters if p.kind in kinds}
-
-    def _is_of_the_design(self) -> bool:
-        known = self._nominal(("setpoint", "uncertain", "disturbance"))
-        pairs = [(self.J, self.model.J), (self.R, self.model.R), (self.G, self.model.G)]
-        off = [e for own, other in pairs for e in own.subs(known) - other]
-        slope = [sp.diff(self.H.subs(known) - self.model.H, s) for s in self._x]
-        return _vanish([*off, *slope])
-
-    @property
-    def _x(self) -> tuple[sp.Symbol, ...]:
-        return self.model.z[: self.model.n]
-
-    def _starts_at_the_target(self) -> bool:
-        known = self._nominal(("setpoint",))
-        pairs = zip(self.x_star, self.model.target, strict=True)
-        free = all(v.free_symbols <= set(known) for v in self.x_star)
-        return free and _vanish([v.subs(known) - t for v, t in pairs])
-
-    def _is_the_plant(self) -> bool:
-        """The flow at (x̂; r, θ, d) is that at (x̂ + x*(r) − x*(r₀); r₀, θ, 0), and G(u_r + d)."""
-        base = self._nominal(("setpoint", "disturbance"))
-        shift = {
-            s: s + v - t for s, v, t in zip(self._x, self.x_star, self.model.target, strict=True)
-        }
-        plain = (self.J - self.R) * sp.Matrix([sp.diff(self.H, s) for s in self._x])
-        there = plain.subs(base).subs(shift, simultaneous=True)
-        d = [p.symbol for p in self.parameters if p.kind == "disturbance"]
-        added: list[sp.Expr] = [*d, *[sp.Integer(0)] * (self.model.m - len(d))]
-        scaled = sp.Matrix([a / u for a, u in zip(added, self.U, strict=True)])
-        G = self.G.subs(base).subs(shift, simultaneous=True)
-        pairs = zip([*self.G], [*G], strict=True)
-        moved = [a - b for a, b in pairs]
-        return _vanish([*(plain - there - G * (self.feed + scaled)), *moved])
-
-    def _is_symmetric(self) -> bool:
-        return _vanish([*(self.J + self.J.T), *(self.R - self.R.T)])
-
-    def _dissipates(self) -> bool:
-        beyond = {
-            p.symbol: p.lo + sp.Symbol(f"above {p.name}", real=True) ** 2 for p in self.parameters
-        }
-        return is_positive_semidefinite(self.R.subs(beyond)) is True
-
-    def _has_casimirs(self) -> bool:
-        loop: Any = self.model.loop
-        coupling = self.G * loop.Gc.T
-        upper = (self.J - self.R).row_join(-coupling)
-        M = upper.col_join(coupling.T.row_join(loop.Jc - loop.Rc))
-        slopes = [sp.Matrix([[sp.diff(c, v) for v in self.model.z]]) for c in self.model.casimirs]
-        return all(_vanish([*(slope * M)]) for slope in slopes)
-
-    def _is_known(self) -> bool:
-        unknown = {p.symbol for p in self.parameters if p.kind == "uncertain"}
-        slopes = sp.Matrix([[sp.diff(c, v) for v in self._x] for c in self.model.casimirs])
-        used = (slopes * self.G).applyfunc(sp.simplify)
-        return not used.free_symbols & unknown
-
-
-def _vanish(entries: Sequence[sp.Expr]) -> bool:
-    return all(is_zero(sp.sympify(entry)) is True for entry in entries)
-
-
 class _Minima:
     """z̄(ϑ) on boxes of ϑ, by Krawczyk's operator in balls."""
 
-    def __init__(self, family: _StoredFamily) -> None:
+    def __init__(self, family: StoredFamily) -> None:
         self.family, self.model = family, family.model
         nothing = copy.copy(self.model)
         nothing.H = sp.Integer(0)
@@ -257,7 +95,8 @@ class _Minima:
         hull = [(min(s[0] for s in c), max(s[1] for s in c)) for c in zip(*sides, strict=True)]
         whole = [(min(a, z[i][0]), max(b, z[i][1])) if i < len(z) else (a, b)
                  for i, (a, b) in enumerate(hull)]  # fmt: skip
-        written = [family.H, *family.J, *family.R, *family.G, *model.written]
+        seen = [*family.x_star, *family.feed]
+        written = [family.H, *family.J, *family.R, *family.G, *seen, *model.written]
         return is_smooth_on(written, (*model.z, *family.symbols), tuple(whole))
 
     def holds(self, claimed: FamilyBox) -> bool:
@@ -350,6 +189,8 @@ def _cover(exact: Sequence[tuple[arb, arb]], boxes: Sequence[FamilyBox]) -> bool
     if not boxes or len(boxes) > _MOST_BOXES:
         return False
     whole = tuple((ends(lo)[0], ends(hi)[1]) for lo, hi in exact)
+    if not all(lo <= hi for lo, hi in whole):
+        return False
     return _covered(whole, [box.theta for box in boxes])
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
+from functools import cached_property
 
 import sympy as sp
 
@@ -66,9 +67,17 @@ class StoredPlants:
             data["H"], *matrices, symbols=own, known=fixed
         )
         k = model.n // 2
-        self.p = model.z[k : model.n]
-        self.inverse = sp.hessian(self.H, self.p)
-        self.inertia = (model.J[:k, k : model.n] * self.inverse).inv()  # q̇ = A ∂H/∂p, p = M q̇
+        self.p, self._rates = model.z[k : model.n], model.J[:k, k : model.n]
+
+    @cached_property
+    def inverse(self) -> sp.Matrix:
+        """∂²H/∂p², of a mechanical plant."""
+        return sp.hessian(self.H, self.p)
+
+    @cached_property
+    def inertia(self) -> sp.Matrix:
+        """M, q̇ = A ∂H/∂p and p = M q̇."""
+        return (self._rates * self.inverse).inv()
 
     def fits(self, model: StoredDesign) -> bool:
         """Whether θ is in M, U and R alone, and the nominal plant is that of the design."""

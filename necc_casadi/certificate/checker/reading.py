@@ -80,6 +80,8 @@ def read_plant(folder: Path, design_text: str) -> str | None:
     names = [*_texts(data["names"]), *_texts(data["symbols"])]
     if len(names) > 4 * _MOST_STATES or any(len(name) > _LONGEST_NAME for name in names):
         raise ValueError("plant.json names more than a plant has")
+    if any(escaped(name) != name for name in names):
+        raise ValueError("plant.json has a name that holds characters that cannot be shown")
     if data["design"] != hashlib.sha256(design_text.encode()).hexdigest():
         return None  # of another design: nothing is proved from it
     return text

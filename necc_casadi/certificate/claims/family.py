@@ -57,7 +57,7 @@ def statement(
     measured: bool,
 ) -> str:
     """Of the whole family; `units` are natural ones of states, `measured`: y is no model's."""
-    over = ", ".join(f"{name} in [{lo:.6g}, {hi:.6g}]" for name, (lo, hi) in ranges.items())
+    over = ", ".join(f"{name} in [{_inward(*side)}]" for name, side in ranges.items())
     moving = off_target(error, units)
     sides = ((name, *outward(error[name])) for name in moving)
     shown = ", ".join(f"{name} [{lo}, {hi}]" for name, lo, hi in sides)
@@ -73,6 +73,15 @@ def statement(
 def off_target(error: Mapping[str, Side], units: Mapping[str, float]) -> list[str]:
     """The states whose error is more than that of the arithmetic."""
     return [name for name, (lo, hi) in error.items() if max(-lo, hi) > _ROUNDING * units[name]]
+
+
+def _inward(lo: float, hi: float) -> str:
+    """Both ends in six digits, rounded into the range: no more is proved."""
+    least = Context(prec=6, rounding=ROUND_CEILING).create_decimal(f"{lo:.15g}")
+    most = Context(prec=6, rounding=ROUND_FLOOR).create_decimal(f"{hi:.15g}")
+    if least > most:  # narrower than the digits
+        return f"{lo:.15g}, {hi:.15g}"
+    return f"{float(least):.6g}, {float(most):.6g}"
 
 
 def outward(side: Side) -> tuple[str, str]:

@@ -4,8 +4,13 @@ import json
 from dataclasses import replace
 
 import pytest
+import sympy as sp
 
 from necc_casadi.certificate.checker.check import check
+from necc_casadi.certificate.checker.evidence import Evidence
+from necc_casadi.certificate.checker.model import StoredDesign
+from necc_casadi.certificate.checker.reading import read_folder
+from necc_casadi.certificate.checker.sampled.sampled import _Sampled
 from necc_casadi.certificate.claims import statements
 from necc_casadi.certificate.claims.certificate import Certificate
 from necc_casadi.certificate.claims.sampled import BEYOND, KEPT, SampledRegion, packed_tree
@@ -111,3 +116,16 @@ def test_a_tree_that_does_not_end_is_unreadable(folder, tmp_path):
     for broken in (nodes[:-1], nodes + b"\x00", bytes([200]), b"\x02" * 50):
         with pytest.raises(OutputError):
             forged(folder, tmp_path, tree=packed_tree(broken))
+
+
+@pytest.mark.parametrize("inside", [False, True])
+def test_a_jump_of_V_that_no_derivative_shows_is_seen(folder, inside):
+    """d/dq atan(tan q) = 1, and atan(tan q) jumps by π."""
+    _, stored, design = read_folder(folder)
+    model, region = StoredDesign(design), region_of(folder)
+    lo, hi = region.box[0]
+    width = sp.Rational(hi) - sp.Rational(lo)
+    pole = sp.Rational(lo) + width * (sp.Rational(1, 2) if inside else 2)
+    model.H += sp.atan(sp.tan((model.z[0] - pole) / width + sp.Rational(11, 7)))
+    proofs = dict(_Sampled(Evidence(model, stored), region).obligations())
+    assert proofs["everything is smooth on the box"]() is not inside

@@ -6,6 +6,7 @@ from flint import arb, arb_mat
 
 from necc_casadi.certificate.checker.arithmetic.balls import Box, ball, by_bisection, meet
 from necc_casadi.certificate.checker.arithmetic.definite import positive
+from necc_casadi.certificate.checker.arithmetic.smooth import is_smooth_on
 from necc_casadi.certificate.checker.evidence import Checked, Evidence, Obligation
 from necc_casadi.certificate.checker.loops import StoredInterconnection
 from necc_casadi.certificate.checker.sampled.linear import falls
@@ -58,6 +59,7 @@ class _Sampled:
             ("the controller's structure is constant", lambda: self.step.covered),
             ("a period and a symmetric Q", self._is_meant),
             ("the box is within the bounds that the model names", self._is_within_bounds),
+            ("everything is smooth on the box", self._is_smooth),
             ("V has one minimum in the core", self._has_core),
             ("the height above V(z̄)", self._is_above),
             ("W falls at every step, on every box", self.on_every_box),
@@ -71,6 +73,10 @@ class _Sampled:
     def _is_within_bounds(self) -> bool:
         pairs = zip(self.region.box, self.model.named_bounds, strict=True)
         return all(a <= lo < hi <= b for (lo, hi), (a, b) in pairs)
+
+    def _is_smooth(self) -> bool:
+        """A derivative may hide a jump of V, which W would not see."""
+        return is_smooth_on(self.model.written, self.model.z, self.region.box)
 
     def _has_core(self) -> bool:
         """∇²V ≻ 0 on the core, which holds z̄ and is in the box."""
