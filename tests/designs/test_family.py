@@ -220,7 +220,8 @@ def test_the_dc_motor_moves_along_its_equilibria(tmp_path):
 
 
 def test_a_parameter_that_is_called_as_a_disturbance_is_no_family(tmp_path):
-    text = PENDULUM.replace("m, g, b, k", "m, g, b, k, d_u").replace("k: 1}", "k: 1, d_u: 1}")
+    text = PENDULUM.replace("k = sp", "k, d_u = sp").replace('b k")', 'b k d_u")')
+    text = text.replace("k: 1}", "k: 1, d_u: 1}")
     task = made_of(tmp_path, text.replace("m * g *", "m * g * d_u *"), "pi/4")
     ranges = Ranges({}, {"d_u": (S(9, 10), S(11, 10))}, ((S(-1, 10), S(1, 10)),))
     found = lift(solve(task, SMALL), ranges, task.model.parametric)
