@@ -140,7 +140,7 @@ class _Search:
         self.stays = self._stays()
         theta = ca.MX.sym("theta", self.moving.size)
         g, N = self.moving.shape(theta)
-        gap = N - ca.diag(ca.DM(plan.asked))
+        gap = N - ca.DM(plan.asked)
         self.gap = ca.Function("gap", [theta], [ca.densify(gap)])
         slopes = [ca.densify(ca.jacobian(v, theta)) for v in (g, ca.vec(gap))]
         self.slopes = ca.Function("slopes", [theta], slopes)
