@@ -39,6 +39,7 @@ from necc_casadi.model.plant import Plant, make_plant
 from necc_casadi.model.ranges import Ranges
 from necc_casadi.model.reader import Reader, inputs_inside, printable, real, source, stands_inside
 from necc_casadi.model.sizes import input_names
+from necc_casadi.model.urdf import read_urdf
 from necc_casadi.texts import escaped
 
 __all__ = ["Model", "load_model", "make_model"]
@@ -117,7 +118,7 @@ def load_model(path: str | Path, overrides: Mapping[str, str] | None = None) -> 
     Parameters
     ----------
     path
-        The model file.
+        The model file; or an arm in URDF, ``arm.urdf``, as :func:`read_urdf` reads it.
     overrides
         Values of parameters by name, as texts (``--param``).
 
@@ -142,6 +143,8 @@ def load_model(path: str | Path, overrides: Mapping[str, str] | None = None) -> 
     Its parameters: none.
     """
     path = Path(path)
+    if path.suffix == ".urdf":
+        return _checked(path.name, escaped(path.stem), read_urdf(path), overrides or {})
     space = _execute(path)
     model = _checked(path.name, escaped(path.stem), space, overrides or {})
     return replace(model, notes=_mistyped(space))
@@ -240,6 +243,8 @@ def _execute(path: Path) -> dict[str, Any]:
             f"{path.name}, line {problem.lineno}: {problem.msg}",
             "Correct the Python syntax there.",
         ) from None
+    except InputError:
+        raise
     except (Exception, SystemExit) as problem:
         frames = traceback.extract_tb(problem.__traceback__)
         line = next((f.lineno for f in reversed(frames) if f.filename == str(path)), "?")
