@@ -38,7 +38,6 @@ from necc_casadi.model.parametric import Parametric
 from necc_casadi.model.plant import Plant, make_plant
 from necc_casadi.model.ranges import Ranges
 from necc_casadi.model.reader import Reader, inputs_inside, printable, real, source, stands_inside
-from necc_casadi.model.sizes import input_names
 from necc_casadi.model.urdf import read_urdf
 from necc_casadi.texts import escaped
 
@@ -55,7 +54,7 @@ _AFFINE = ("x", "f", "G")
 _OPTIONAL = (
     "params", "xi", "Jc", "Rc", "Gc", "casimirs", "target", "domain", "sizes", "D", "Dc",
     "u_limits", "units", "name", "state_cost", "input_cost", "u", "E", "f", "measured",
-    "uncertain", "setpoints", "disturbance",
+    "uncertain", "setpoints", "disturbance", "inputs",
 )  # fmt: skip
 
 
@@ -283,10 +282,11 @@ def _build(title: str, space: dict[str, Any], overrides: Mapping[str, str]) -> M
     controller = _controller(plant, file) if isinstance(plant, Plant) else None
     inner = () if controller is None else controller.states
     states = (*plant.states, *inner)
+    plant = replace(plant, inputs=entries.inputs(file, plant.m, states))
     plant = replace(
         plant,
         domain=entries.sides_of_states(file, "domain", states),
-        sizes=entries.sizes(file, (*states, *input_names(plant.m))),
+        sizes=entries.sizes(file, (*states, *plant.input_names)),
     )
     named = "target" in space and space["target"] is not None
     return Model(

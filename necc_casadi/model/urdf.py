@@ -54,8 +54,8 @@ def read_urdf(path: str | Path) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``q, M, V, B, friction``, ``params`` (g and the masses), ``units`` and, where the file
-        has limits, ``domain`` and ``u_limits``: for :func:`make_model`, or for
+        ``q, M, V, B, friction``, ``params`` (g and the masses), ``inputs``, ``units`` and, where
+        the file has limits, ``domain`` and ``u_limits``: for :func:`make_model`, or for
         ``globals().update(…)`` in a model file. Joints are driven that the file's transmissions
         or command interfaces name; without any, all but those of effort 0.
 
@@ -93,6 +93,10 @@ def read_urdf(path: str | Path) -> dict[str, Any]:
             raise _fault(fault, f"Give link {joint.child} an <inertial>.")
     values = {g: sp.Rational(981, 100), **dict(masses)}
     drives = _drives(root, moving)
+    turns = [joint.motion == "turns" for joint in moving]
+    inputs = {
+        f"{'tau' if turns[j] else 'force'}_{q[j]}": "N m" if turns[j] else "N" for j in drives
+    }
     return {
         "q": tuple(q),
         "M": M,
@@ -100,9 +104,8 @@ def read_urdf(path: str | Path) -> dict[str, Any]:
         "B": sp.Matrix(len(q), len(drives), lambda i, k: int(i == drives[k])),
         "friction": sp.diag(*map(_damping, moving)),
         "params": {s: values[s] for s in values if s in M.free_symbols | V.free_symbols},
-        "units": {
-            x: "rad" if joint.motion == "turns" else "m" for x, joint in zip(q, moving, strict=True)
-        },
+        "inputs": tuple(inputs),
+        "units": {x: "rad" if turn else "m" for x, turn in zip(q, turns, strict=True)} | inputs,
         "name": root.get("name") or path.stem,
         **_domain(q, moving),
         **_efforts([moving[j] for j in drives]),

@@ -64,7 +64,8 @@ def test_two_rods(tmp_path):
     assert sp.diag(sp.Rational(1, 10), 0) == arm["friction"]
     assert arm["u_limits"] == [(-40, 40), (-15, 15)]
     assert arm["domain"] == {q1: (-3, 3), q2: (-sp.Rational(5, 2), sp.Rational(5, 2))}
-    assert arm["units"] == {q1: "rad", q2: "rad"}
+    assert arm["inputs"] == ("tau_shoulder", "tau_elbow")
+    assert arm["units"] == {q1: "rad", q2: "rad", "tau_shoulder": "N m", "tau_elbow": "N m"}
 
 
 def test_an_arm_is_a_model(tmp_path):
