@@ -23,7 +23,6 @@ from necc_casadi.folders import whole_folder
 from necc_casadi.interrupts import uninterrupted
 from necc_casadi.methods.find import Found, find_method
 from necc_casadi.methods.method import Method
-from necc_casadi.model.build_family import family_loop
 from necc_casadi.model.family_loop import NoFamily
 from necc_casadi.model.lagrangian import Plants
 from necc_casadi.model.model_file import Model
@@ -39,6 +38,12 @@ from necc_casadi.pipeline.advice import (
     structure_offers,
 )
 from necc_casadi.pipeline.clock import Clock, Say
+from necc_casadi.pipeline.families import (
+    family_notes,
+    members,
+    refused_by_all,
+    with_family,
+)
 from necc_casadi.pipeline.ranges import with_ranges
 from necc_casadi.pipeline.request import (
     Request,
@@ -189,7 +194,8 @@ def _studied(request: Request, task: _Task, found: Findings, kept: _Kept, clock:
         notes=(
             *task.notes,
             *design_notes(made, task.options),
-            *(() if kept.because is None else (f"no family: {kept.because}",)),
+            *(() if kept.because is None else (f"family: {kept.because}",)),
+            *family_notes(made, task.model, kept.family),
             *region_notes(certificate, share, task.options),
             *response_notes(motion.responses, _PATIENCE),
             *(() if warning is None else (warning,)),
@@ -327,52 +333,31 @@ class _Kept:
 
 def _kept(request: Request, task: _Task, clock: Clock) -> tuple[_Kept, _Task]:
     """The choice, with integral action on top and the sampled loop proved where asked for."""
-    choice, task = _chosen(task, clock)
+    choice, task = _chosen(_with_members(request, task), clock)
     made, certificate = _with_plants(request, task, choice, clock)
     family, because = None, None
     if task.model.ranges and request.integral is False:
         with clock.stage("family", "proving the family"):
-            certificate, family, because = _with_family(made, certificate, task.model)
+            certificate, family, because = with_family(made, certificate, task.model)
     certificate = _with_sampled_loop(request, made, certificate, clock)
     return _Kept(made, certificate, choice, family, because), task
 
 
 def _no_family(request: Request, task: _Task) -> NoFamily | None:
     """Why no loop that may be taken holds the target for all of the ranges, proved."""
-    ranges, first = task.model.ranges, task.found.chosen
-    if not ranges or first is None or request.integral is not False:
+    first = task.found.chosen
+    if first is None or request.integral is not False:
         return None
-    star = tuple(task.x_star[s] for s in task.model.system.x)
-    found: NoFamily | None = None
-    for method in (first, *task.found.alternatives):
-        functions, sums = method.casimirs.functions, task.options.phi == "sum"
-        lifted = family_loop(
-            method.loop, functions, star, ranges, task.model.parametric, phi_is_sum=sums
-        )
-        if not (isinstance(lifted, NoFamily) and lifted.reason == "refused"):
-            return None
-        found = found or lifted
-    return found
+    methods = (first, *task.found.alternatives)
+    return refused_by_all(task.model, methods, task.x_star, task.options)
 
 
-def _with_family(
-    made: Design, certificate: Certificate, model: Model
-) -> tuple[Certificate, Family | None, str | None]:
-    """The certificate with what is proved of the family, the family, and what is missing."""
-    from necc_casadi.certificate.claims.claim import Claim
-    from necc_casadi.certificate.claims.statements import NO_FAMILY
-    from necc_casadi.certificate.prover.family import prove_family
-    from necc_casadi.designs.family import lift
-
-    lifted, because = lift(made, model.ranges, model.parametric), None
-    if isinstance(lifted, NoFamily):
-        claim, because = Claim("family", False, NO_FAMILY[lifted.reason]), lifted.sentence
-    else:
-        claim = prove_family(lifted)
-        if not claim.holds:
-            claim, because = Claim("family", False, NO_FAMILY["open"]), claim.statement
-    family = None if isinstance(lifted, NoFamily) else lifted
-    return replace(certificate, claims=(*certificate.claims, claim)), family, because
+def _with_members(request: Request, task: _Task) -> _Task:
+    """The task whose V is to be convex for uncertain plants, too."""
+    if request.integral is not False:
+        return task
+    others = members(task.model, task.method, task.x_star, task.options)
+    return replace(task, options=replace(task.options, members=others))
 
 
 def _with_plants(
@@ -413,11 +398,17 @@ def _with_sampled_loop(
 def _with_setpoints(
     made: Design, certificate: Certificate, setpoints: Mapping[str, Range]
 ) -> tuple[Design, Certificate]:
-    """The design with set-points that move; what else is proved of it stays as it is."""
+    """The design with set-points that move, where its code can move them.
+
+    What else is proved of it stays as it is.
+    """
+    from necc_casadi.certificate.claims.statements import SETPOINTS_ARE_NOT_COVERED
     from necc_casadi.certificate.prover.setpoints import prove_setpoints
 
     moving = replace(made, setpoints=setpoints)
     claim = prove_setpoints(moving)
+    if claim is not None and claim.statement == SETPOINTS_ARE_NOT_COVERED:
+        return made, certificate
     claims = certificate.claims if claim is None else (*certificate.claims, claim)
     return moving, replace(certificate, design_hash=moving.hash, claims=claims)
 

@@ -40,8 +40,11 @@ def least_kappa(
     xi_star: Vector,
     a: Vector,
     momenta: Sequence[int] = (),
+    members: Sequence[Terms] = (),
 ) -> float:
     """The least κ, in natural units, for which quadratic parts alone make V convex at samples.
+
+    `members` are loops of other plants, for which V is to be convex, too.
 
     They must also reach the curvature `a` (n + nc,) at z*, with something to spare, so that the
     networks need not. The samples fill twice the natural domain, whole turns of an angle included.
@@ -51,14 +54,14 @@ def least_kappa(
     somewhere along an invisible direction) the default bound is returned.
     """
     z_star = np.concatenate([x_star, xi_star])
-    hessians = _hessians(terms, scales, verdict, z_star, momenta)
+    hessians = [_hessians(plant, scales, verdict, z_star, momenta) for plant in (terms, *members)]
     asked = np.sqrt(np.outer(a, a))
     relative = np.outer(scales.state, scales.state) / scales.energy
 
     def lowest(kappa: float) -> tuple[float, float]:
-        at_target, around = hessians(kappa)
-        least = np.linalg.eigvalsh(at_target / asked)[0]
-        return float(least), float(np.linalg.eigvalsh(around * relative).min())
+        both = [of_one(kappa) for of_one in hessians]
+        least = float(np.linalg.eigvalsh(both[0][0] / asked)[0])  # asked of the plant itself
+        return least, min(float(np.linalg.eigvalsh(v * relative).min()) for _, v in both)
 
     # invisible directions have the curvature of H and no more: ask for what can be reached
     top, margin = lowest(_STIFFEST)

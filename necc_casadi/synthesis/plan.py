@@ -208,9 +208,19 @@ def _least_stiffness(plan: Plan, options: Options) -> float | None:
     if options.convex:
         momenta = find_momenta(plan.loop, plan.casimirs, plan.x_star)
         at = (plan.terms, plan.scales, plan.verdict, plan.x, plan.anchor.xi)
-        return least_kappa(*at, plan.curvature, momenta)
+        return least_kappa(*at, plan.curvature, momenta, _members(plan, options))
     level = isinstance(options.shaping, Level) and options.quadratic and not plan.form.betas
     return whole_space_stiffness(plan) if options.whole or level else None
+
+
+def _members(plan: Plan, options: Options) -> list[Terms]:
+    """The loops of other plants, in training units."""
+    (energy,) = exactly(np.array([plan.units.energy]))
+    x, plant = plan.loop.plant.x, plan.loop.plant
+    scale = {s: s * unit for s, unit in zip(x, exactly(plan.units.state), strict=False)}
+    energies = [H.xreplace(scale) / energy for H in options.members]
+    loops = [replace(plan.loop, plant=replace(plant, H=H)) for H in energies]
+    return [make_terms(loop, plan.casimirs) for loop in loops]
 
 
 def whole_space_stiffness(plan: Plan) -> float | None:
