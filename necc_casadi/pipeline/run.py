@@ -23,7 +23,6 @@ from necc_casadi.folders import whole_folder
 from necc_casadi.interrupts import uninterrupted
 from necc_casadi.methods.find import Found, find_method
 from necc_casadi.methods.method import Method
-from necc_casadi.model.build_family import family_loop
 from necc_casadi.model.family_loop import FamilyLoop, NoFamily
 from necc_casadi.model.lagrangian import Plants
 from necc_casadi.model.model_file import Model
@@ -39,6 +38,12 @@ from necc_casadi.pipeline.advice import (
     structure_offers,
 )
 from necc_casadi.pipeline.clock import Clock, Say
+from necc_casadi.pipeline.families import (
+    family_notes,
+    family_of,
+    refused_by_all,
+    with_family,
+)
 from necc_casadi.pipeline.ranges import with_ranges
 from necc_casadi.pipeline.request import (
     Request,
@@ -189,7 +194,8 @@ def _studied(request: Request, task: _Task, found: Findings, kept: _Kept, clock:
         notes=(
             *task.notes,
             *design_notes(made, task.options),
-            *(() if kept.because is None else (f"no family: {kept.because}",)),
+            *(() if kept.because is None else (f"family: {kept.because}",)),
+            *family_notes(made, task.model, kept.family),
             *region_notes(certificate, share, task.options),
             *response_notes(motion.responses, _PATIENCE),
             *(() if warning is None else (warning,)),
@@ -310,13 +316,12 @@ def _chosen(request: Request, task: _Task, clock: Clock) -> tuple[Choice, _Task]
 
     methods = (task.method, *task.found.alternatives)
 
-    def members(method: Method) -> FamilyLoop | None:
-        if not task.model.ranges or request.integral is not False or task.options.learn_casimir:
+    def family(method: Method) -> FamilyLoop | None:
+        if request.integral is not False:
             return None
-        found = _family_of(task, method)
-        return None if isinstance(found, NoFamily) else found
+        return family_of(task.model, method, task.x_star, task.options)
 
-    choice, method, seconds = best_structure(methods, task.x_star, task.options, clock.say, members)
+    choice, method, seconds = best_structure(methods, task.x_star, task.options, clock.say, family)
     clock.timings.update(seconds)
     return choice, replace(task, found=replace(task.found, chosen=method))
 
@@ -339,56 +344,18 @@ def _kept(request: Request, task: _Task, clock: Clock) -> tuple[_Kept, _Task]:
     family, because = None, None
     if task.model.ranges and request.integral is False:
         with clock.stage("family", "proving the family"):
-            certificate, family, because = _with_family(made, certificate, task.model)
+            certificate, family, because = with_family(made, certificate, task.model)
     certificate = _with_sampled_loop(request, made, certificate, clock)
     return _Kept(made, certificate, choice, family, because), task
 
 
-def _family_of(task: _Task, method: Method) -> FamilyLoop | NoFamily:
-    """The loop of a method for all of the ranges, or why there is none."""
-    model, star = task.model, tuple(task.x_star[s] for s in task.model.system.x)
-    return family_loop(
-        method.loop,
-        method.casimirs.functions,
-        star,
-        model.ranges,
-        model.parametric,
-        phi_is_sum=task.options.phi == "sum",
-    )
-
-
 def _no_family(request: Request, task: _Task) -> NoFamily | None:
     """Why no loop that may be taken holds the target for all of the ranges, proved."""
-    ranges, first = task.model.ranges, task.found.chosen
-    if not ranges or first is None or request.integral is not False:
+    first = task.found.chosen
+    if first is None or request.integral is not False:
         return None
-    found: NoFamily | None = None
-    for method in (first, *task.found.alternatives):
-        lifted = _family_of(task, method)
-        if not (isinstance(lifted, NoFamily) and lifted.reason == "refused"):
-            return None
-        found = found or lifted
-    return found
-
-
-def _with_family(
-    made: Design, certificate: Certificate, model: Model
-) -> tuple[Certificate, Family | None, str | None]:
-    """The certificate with what is proved of the family, the family, and what is missing."""
-    from necc_casadi.certificate.claims.claim import Claim
-    from necc_casadi.certificate.claims.statements import NO_FAMILY
-    from necc_casadi.certificate.prover.family import prove_family
-    from necc_casadi.designs.family import lift
-
-    lifted, because = lift(made, model.ranges, model.parametric), None
-    if isinstance(lifted, NoFamily):
-        claim, because = Claim("family", False, NO_FAMILY[lifted.reason]), lifted.sentence
-    else:
-        claim = prove_family(lifted)
-        if not claim.holds:
-            claim, because = Claim("family", False, NO_FAMILY["open"]), claim.statement
-    family = None if isinstance(lifted, NoFamily) else lifted
-    return replace(certificate, claims=(*certificate.claims, claim)), family, because
+    methods = (first, *task.found.alternatives)
+    return refused_by_all(task.model, methods, task.x_star, task.options)
 
 
 def _with_plants(
@@ -429,11 +396,17 @@ def _with_sampled_loop(
 def _with_setpoints(
     made: Design, certificate: Certificate, setpoints: Mapping[str, Range]
 ) -> tuple[Design, Certificate]:
-    """The design with set-points that move; what else is proved of it stays as it is."""
+    """The design with set-points that move, where its code can move them.
+
+    What else is proved of it stays as it is.
+    """
+    from necc_casadi.certificate.claims.statements import SETPOINTS_ARE_NOT_COVERED
     from necc_casadi.certificate.prover.setpoints import prove_setpoints
 
     moving = replace(made, setpoints=setpoints)
     claim = prove_setpoints(moving)
+    if claim is not None and claim.statement == SETPOINTS_ARE_NOT_COVERED:
+        return made, certificate
     claims = certificate.claims if claim is None else (*certificate.claims, claim)
     return moving, replace(certificate, design_hash=moving.hash, claims=claims)
 
