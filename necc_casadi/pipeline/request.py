@@ -239,7 +239,6 @@ def _check_integral(request: Request, options: Options, model: Model) -> None:
         "--learn-casimir": options.learn_casimir,
         "--casimir-form sum": options.casimir_form == "sum",
         "setpoints, or a target that is a range": bool(model.ranges.setpoints),
-        "disturbance": bool(model.ranges.disturbance),
     }
     for name, given in beside.items():
         if given:

@@ -394,8 +394,8 @@ def _with_plants(
 
     with clock.stage("integral", "adding integral action"):
         tau = None if request.integral is True else float(request.integral)
-        made = with_integral(choice.design, tau, plants)
-        return made, certify(made, plants=plants)
+        made = with_integral(choice.design, tau, plants, ranges.disturbance)
+        return made, certify(made, plants=plants, disturbance=ranges.disturbance)
 
 
 def _with_sampled_loop(

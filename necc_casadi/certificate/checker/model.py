@@ -24,7 +24,7 @@ __all__ = ["StoredDesign"]
 
 
 class StoredIntegral:
-    """Integral action: τ in natural units, and the limits of ζ as they stand.
+    """Integral action: τ and the limits of ζ in natural units, and these as they stand.
 
     Raises
     ------
@@ -40,6 +40,7 @@ class StoredIntegral:
         if not positive or not len(self.gain) == len(self.stated) == len(scale.input):
             raise ValueError("integral action needs positive numbers, one for each input")
         self.tau = tau / scale.time
+        self.limit = divided(self.stated, scale.input)
 
 
 class StoredDesign:

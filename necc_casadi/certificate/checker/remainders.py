@@ -193,10 +193,53 @@ class StoredRemainders(ABC):
 
     # --- the box ------------------------------------------------------------------------------
 
+    @property
+    def rests(self) -> list[arb]:
+        """The coordinates at which it may be at rest."""
+        return self.q_star
+
+    @property
+    def leads(self) -> arb:
+        """The energy beside E is at least ½vᵀMv with v = q̇ + e times this."""
+        return arb(0)
+
+    def keeps_momenta(self, box: Box) -> bool:
+        """Every named bound of a momentum is out of reach where E is below the level.
+
+        (Mv)ᵢ² ≤ Mᵢᵢ vᵀMv, and the momenta M q̇ are Mv less M e times what v leads by.
+        """
+        model, k = self.model, self.k
+        rates = model.J[:k, k : model.n]  # p = AᵀM q̇ in natural units, A diagonal
+        units = [evaluate(rates[i, i], {}) for i in range(k)]
+        named = [
+            (i, arb(lo) / units[i], arb(hi) / units[i])
+            for i, (lo, hi) in enumerate(model.named_bounds[k : 2 * k])
+            if model.states[k + i] in model.domain
+        ]
+        if named and any(rates[i, j] != 0 for i in range(k) for j in range(k) if i != j):
+            return False
+
+        def kept(cell: Box) -> bool:
+            left = 2 * (self.level - self._energy(cell))
+            if left < 0:
+                return True
+            e = [ball(*side) for side in cell[:k]]
+            here = {s: v + d for s, v, d in zip(self.q, self.q_star, e, strict=True)}
+            M = self.inertia(here | self.known(cell))
+            ahead = M * arb_mat([[v * self.leads] for v in e])
+            for i, lo, hi in named:
+                reach, step = M[i, i] * left, ahead[i, 0]
+                above, below = hi + step, -(lo + step)
+                if not (above > 0 and below > 0 and reach < above**2 and reach < below**2):
+                    return False
+            return True
+
+        return not named or by_bisection(box, kept, _DEPTH)
+
     def keeps_bounds(self, box: Box) -> bool:
         """Whether every bound that the model names is outside."""
         model, k = self.model, self.k
-        at = [*self.q_star, *(arb(v) for v in model.xi_star)]
+        at = [*self.rests, *(arb(v) for v in model.xi_star)]
         places = [*range(k), *range(model.n, len(model.z))]
         for (lo, hi), middle, place in zip(box[: 2 * k], at, places, strict=True):
             low, high = model.named_bounds[place]

@@ -14,6 +14,7 @@ from necc_casadi.certificate.checker.integral import is_covered
 from necc_casadi.certificate.checker.model import StoredDesign
 from necc_casadi.certificate.checker.remainders import MovedPlant, StoredRemainders
 from necc_casadi.certificate.claims import statements
+from necc_casadi.symbolic.expressions import parse
 
 __all__ = ["check_setpoints"]
 
@@ -50,6 +51,7 @@ def check_setpoints(evidence: Evidence, sound: bool) -> Checked | None:
             ("M ≻ 0 in the box", partial(held.has_mass, box)),
             ("V above the level on the sides", partial(held.is_closed, box)),
             ("mean slopes ⪰ μI where V is not", partial(held.falls_in, box)),
+            ("the momenta keep the bounds of the model", partial(held.keeps_momenta, box)),
             ("how far from the set-point it rests", lambda: bool(held.away() <= away)),
         ],
     )
@@ -66,6 +68,16 @@ class _Held(StoredRemainders):
         if self.xi_bar is not None:  # V differs from E by gᵀe
             reach = zip(self.left(), widths, strict=False)
             self.level = self.level + sum((g.abs_upper() * w for g, w in reach), arb(0)).upper()
+
+    @property
+    def rests(self) -> list[arb]:
+        """Every set-point of its range."""
+        model, found = self.model, list(self.q_star)
+        for name, side in model.setpoints.items():
+            i = model.states.index(name)
+            lo, hi = (evaluate(parse(v, {}), {}) / arb(model.units.state[i]) for v in side)
+            found[i] = lo.union(hi)
+        return found
 
     def left(self) -> list[arb]:
         """G = ∇U(q*) + N_x∇K at (q*, ξ̄)."""

@@ -24,6 +24,7 @@ from necc_casadi.model.lagrangian import Lagrangian, integral_obstacle, lagrangi
 from necc_casadi.model.setpoints import moved, set_points
 from necc_casadi.symbolic.derivatives import gradient
 from necc_casadi.symbolic.expressions import to_text
+from necc_casadi.symbolic.floats import to_floats
 
 __all__ = ["prove_setpoints"]
 
@@ -76,6 +77,17 @@ class SetPointTerms(Remainders):
     def __init__(self, design: Design, plant: Lagrangian, nominal: Lagrangian) -> None:
         super().__init__(design, plant)
         self.nominal = nominal  # as it is seen at q*
+        names, sizes = design.loop.plant.states, design.units.state
+        self._sizes = {name: float(sizes[names.index(name)]) for name in design.setpoints}
+
+    @property
+    def rests(self) -> tuple[Vector, Vector]:
+        """The ends of the ranges of set-points, (k,) each."""
+        low, high, names = self.q_star.copy(), self.q_star.copy(), self.design.loop.plant.states
+        for name, side in self.design.setpoints.items():
+            i = names.index(name)
+            low[i], high[i] = to_floats(side) / self._sizes[name]
+        return low, high
 
     @cached_property
     def left(self) -> Interval:
