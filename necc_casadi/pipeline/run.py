@@ -27,6 +27,7 @@ from necc_casadi.model.build_family import family_loop
 from necc_casadi.model.family_loop import NoFamily
 from necc_casadi.model.lagrangian import Plants
 from necc_casadi.model.model_file import Model
+from necc_casadi.model.parametric import Parametric
 from necc_casadi.model.plant import Plant
 from necc_casadi.model.ranges import Range
 from necc_casadi.model.spot_checks import check_model_at
@@ -123,7 +124,10 @@ def run_design(request: Request, say: Say) -> Findings:
     with whole_folder(request.out, _expected(request)) as folder:
         kept, task = _kept(request, task, clock)
         with ThreadPoolExecutor(1) as pool:  # compilers run while the loop is simulated and drawn
-            exported = pool.submit(_exported, request, kept.design, kept.certificate, folder, clock)
+            parametric = task.model.parametric
+            exported = pool.submit(
+                _exported, request, kept.design, kept.certificate, parametric, folder, clock
+            )
             found = _studied(request, task, found, kept, clock)
             return _written(request, found, folder, exported.result, clock)
 
@@ -149,7 +153,7 @@ def write_run(request: Request, found: Findings, out: Path, say: Say) -> Finding
             request,
             found,
             folder,
-            lambda: _exported(request, made, certificate, folder, clock),
+            lambda: _exported(request, made, certificate, found.parametric, folder, clock),
             clock,
         )
 
@@ -385,9 +389,10 @@ def _with_plants(
         plants = Plants(task.model.parametric, ranges.uncertain)
     if request.integral is False:
         made, certificate = choice.design, choice.certificate
-        if ranges.setpoints:
+        told = _told(task.model)
+        if ranges.setpoints or told is not None:
             with clock.stage("setpoints", "proving a box for all set-points"):
-                made, certificate = _with_setpoints(made, certificate, ranges.setpoints)
+                made, certificate = _with_setpoints(made, certificate, ranges.setpoints, told)
         return made, _with_momenta(made, certificate, plants)
     from necc_casadi.certificate.prover.certify import certify
     from necc_casadi.synthesis.integral import with_integral
@@ -411,15 +416,26 @@ def _with_sampled_loop(
 
 
 def _with_setpoints(
-    made: Design, certificate: Certificate, setpoints: Mapping[str, Range]
+    made: Design, certificate: Certificate, setpoints: Mapping[str, Range], told: Plants | None
 ) -> tuple[Design, Certificate]:
-    """The design with set-points that move; what else is proved of it stays as it is."""
+    """The design with set-points that move and parameters that are told.
+
+    What else is proved of it stays as it is.
+    """
     from necc_casadi.certificate.prover.setpoints import prove_setpoints
 
-    moving = replace(made, setpoints=setpoints)
+    moving = replace(made, setpoints=setpoints, told=told)
     claim = prove_setpoints(moving)
     claims = certificate.claims if claim is None else (*certificate.claims, claim)
     return moving, replace(certificate, design_hash=moving.hash, claims=claims)
+
+
+def _told(model: Model) -> Plants | None:
+    """The plant with the parameters that are told at run time; None where none are."""
+    if not model.told or model.parametric is None:
+        return None
+    known = {k: v for k, v in model.parametric.values.items() if k not in model.told}
+    return Plants(model.parametric.at(known), model.told)
 
 
 def _with_momenta(made: Design, certificate: Certificate, plants: Plants | None) -> Certificate:
@@ -471,7 +487,12 @@ def _compared(request: Request, task: _Task, made: Design, clock: Clock) -> Perf
 
 
 def _exported(
-    request: Request, made: Design, certificate: Certificate, out: Path, clock: Clock
+    request: Request,
+    made: Design,
+    certificate: Certificate,
+    parametric: Parametric | None,
+    out: Path,
+    clock: Clock,
 ) -> list[Path]:
     """Write the C controller and what was asked for around it."""
     from necc_casadi.export.c_project import export_c
@@ -484,6 +505,7 @@ def _exported(
         "integrator": request.integrator,
         "prefix": request.prefix,
         "certificate": certificate,
+        "parametric": parametric,
     }
     with clock.stage("export", "writing the C controller"):
         files = export_c(made, out / "c", **common)

@@ -122,6 +122,14 @@ class StoredDesign:
         }
         if not set(self.setpoints) <= set(model["states"][: self.n // 2]):
             raise ValueError("a set-point of what is no coordinate")
+        #: Parameter → ends of its range, and the plant with these as symbols, where some are told.
+        told = data.get("told", {"ranges": {}, "plant": None})
+        self.told_ranges = {str(k): (str(lo), str(hi)) for k, (lo, hi) in told["ranges"].items()}
+        self.told_plant: Mapping[str, Any] | None = told["plant"]
+        if set(self.told_ranges) & set(self.states) or not all(
+            name.isidentifier() for name in self.told_ranges
+        ):
+            raise ValueError("a parameter that is told needs a word of its own")
         units = dict(zip(self.states, S, strict=True))
         self.domain = {
             name: tuple(parse(v, {}) / units[name] for v in bounds)

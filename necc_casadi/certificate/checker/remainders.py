@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -65,24 +65,36 @@ class MovedPlant:
 
     @classmethod
     def of(cls, model: StoredDesign) -> MovedPlant:
-        """Of the set-points that design.json names; r may be rounded, as the target is."""
+        """Of the set-points that design.json names; r may be rounded, as the target is.
+
+        And of the parameters that the controller is told.
+        """
         place: dict[sp.Symbol, sp.Expr] = {}
         ranges: dict[sp.Symbol, tuple[sp.Expr, ...]] = {}
         for i, s in enumerate(model.z[: model.n // 2]):
             side = model.setpoints.get(model.states[i])
             if side is not None:
                 r = sp.Dummy(f"r_{s}", real=True)
-                lo, hi = (parse(v, {}) for v in side)
-                slack = sp.Rational(1, 2**48) * (1 + sp.Abs(lo) + sp.Abs(hi))
                 unit = sp.Rational(*float(model.units.state[i]).as_integer_ratio())
                 place[s] = s + r / unit - model.target[i]
-                ranges[r] = lo - slack, hi + slack
-        inertia = sp.zeros(0, 0) if model.inertia is None else model.inertia
+                ranges[r] = _rounded([parse(v, {}) for v in side])
+        H, inertia = model.H, sp.zeros(0, 0) if model.inertia is None else model.inertia
+        if model.told_ranges:
+            told = StoredPlants(model, model.told_plant, model.told_ranges)
+            H, inertia = told.H, told.inertia
+            ranges |= {s: _rounded(side) for s, side in told.ranges.items()}
 
         def there(expr: sp.Expr) -> sp.Expr:
             return sp.sympify(expr).subs(place, simultaneous=True)
 
-        return cls(there(model.H), model.R, inertia.applyfunc(there), ranges)
+        return cls(there(H), model.R, inertia.applyfunc(there), ranges)
+
+
+def _rounded(side: Sequence[sp.Expr]) -> tuple[sp.Expr, ...]:
+    """Both ends farther out than a double is off."""
+    lo, hi = side
+    slack = sp.Rational(1, 2**48) * (1 + sp.Abs(lo) + sp.Abs(hi))
+    return lo - slack, hi + slack
 
 
 #: A plant in place of the one of the model.

@@ -281,7 +281,10 @@ def momenta(ranges: Mapping[str, Sequence[str]]) -> str:
 def setpoints(
     level: float, box: Mapping[str, float], away: float, ranges: Mapping[str, Sequence[str]]
 ) -> str:
-    """Of one level of V and one box (q, ξ) about every set-point; `away` in natural units."""
+    """Of one level of V and one box (q, ξ) about every set-point; `away` in natural units.
+
+    Ranges are of set-points and of parameters that the controller is told.
+    """
     sides = ", ".join(f"{name} ± {_down(width, 6)}" for name, width in box.items())
     known = ", ".join(f"{name} in [{lo}, {hi}]" for name, (lo, hi) in ranges.items())
     return (
