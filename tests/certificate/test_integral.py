@@ -97,10 +97,9 @@ def test_the_margin_is_that_of_the_largest_W(ranged, pendulum_with):
     rng = np.random.default_rng(0)
     pull = made.lyapunov.control_law(made.z_star[:2], terms.xi_bar.mid)[0]
     for _ in range(5):
-        w = np.concatenate([rng.uniform(-1, 1, 3) + [0.75, 0, 0], rng.uniform(-0.5, 0.5, 1)])
-        pushes = [
-            zeta + np.sin(0.75) - pull for zeta in (-made.integral.limit, made.integral.limit)
-        ]
+        w = np.array([0.75, 0.0, 0.0, 0.0]) + rng.uniform(-1, 1, 4) * [1, 1, 1, 0.5]
+        ends = (-made.integral.limit, made.integral.limit)
+        pushes = [zeta + np.sin(0.75) - pull for zeta in ends]
         wanted = 1 - max(W(made, terms, w, d) for d in pushes) / margin.level
         assert margin(w[:2], w[2:3], w[3:]) == pytest.approx(wanted, abs=1e-9)
     many = plants(m=("9/10", "11/10"), g=("4/5", "6/5"), d=("0", "3/10"))
