@@ -60,6 +60,7 @@ if TYPE_CHECKING:  # what --check does not need is loaded when it is reached
     from necc_casadi.designs.family import Family
     from necc_casadi.designs.outcome import Start
     from necc_casadi.export.sampled_loop import SampledLoop
+    from necc_casadi.performance.beside_proof import BesideProof
     from necc_casadi.performance.measure import Performance
     from necc_casadi.simulation.responses import Trajectory
     from necc_casadi.synthesis.asked import Answer
@@ -187,6 +188,7 @@ def _studied(request: Request, task: _Task, found: Findings, kept: _Kept, clock:
         simulated_share=motion.share,
         sampling=sampling,
         family=kept.family,
+        beside=_beside_proof(made, certificate, kept.family, task.model.parametric, clock),
         asked=choice.kept.asked if made.integral is None else None,
         performance=_compared(request, task, made, clock) if request.compare else None,
         sweep=sweep,
@@ -470,6 +472,23 @@ def _simulated(made: Design, clock: Clock) -> _Motion:
             for x0 in random_states(made, _RESPONSES, made.seed)
         )
         return _Motion(responses, simulated_share(made, made.momenta, made.seed))
+
+
+def _beside_proof(
+    made: Design,
+    certificate: Certificate,
+    family: Family | None,
+    parametric: Parametric | None,
+    clock: Clock,
+) -> BesideProof | None:
+    """Plants that the proof is about, simulated; None where it is about one plant."""
+    from necc_casadi.performance.beside_proof import beside_proof, proved
+
+    found = proved(made, certificate, family)
+    if found is None:
+        return None
+    with clock.stage("plants", "simulating plants of the ranges that are proved"):
+        return beside_proof(made, found, parametric, made.seed)
 
 
 def _compared(request: Request, task: _Task, made: Design, clock: Clock) -> Performance:

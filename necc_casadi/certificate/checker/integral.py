@@ -180,7 +180,7 @@ class _Fall(StoredRemainders):
     def added(
         self, there: dict[sp.Symbol, arb], known: dict[sp.Symbol, arb], e: list[arb]
     ) -> tuple[arb, list[arb]]:
-        """½eᵀ(BDBᵀ + R − M/τ)e/τ and its slopes."""
+        """½eᵀ(BDBᵀ + R − M/τ)e/τ and its slopes in q and θ."""
         tau = self.tau
         stiff = self._damped(known) - self.inertia(there) * (1 / tau)
         column = arb_mat([[v] for v in e])
@@ -188,6 +188,10 @@ class _Fall(StoredRemainders):
         value = sum((v * f[0] for v, f in zip(e, forces, strict=True)), arb(0)) / (2 * tau)
         turned = [(arb_mat([e]) * matrix_at(M, there) * column)[0, 0] for M in self.bent]
         slopes = [f[0] / tau - v / (2 * tau * tau) for f, v in zip(forces, turned, strict=True)]
+        for s in self.symbols:
+            heavier = matrix_at(self.M.diff(s), there) * (1 / tau)
+            stiffer = matrix_at(self.R.diff(s), known) - heavier
+            slopes.append((arb_mat([e]) * stiffer * column)[0, 0] / (2 * tau))
         return value, slopes
 
     def _damped(self, known: dict[sp.Symbol, arb]) -> arb_mat:

@@ -143,6 +143,9 @@ class StoredRemainders(ABC):
         grad = [sp.diff(self.U, s) for s in self.q]
         self.grad_U, self.hess_U = grad, [[sp.diff(g, s) for s in self.q] for g in grad]
         self.bent = [self.M.diff(s) for s in self.q]
+        self.along_theta = [
+            (sp.diff(self.U, s), [sp.diff(g, s) for g in grad]) for s in self.symbols
+        ]
         self.xi_bar = self._minimum()
         if self.xi_bar is not None:
             self.rest = self._rest()
@@ -292,14 +295,13 @@ class StoredRemainders(ABC):
         return bool(self._energy(box) > self.level)
 
     def _energy(self, box: Box) -> arb:
-        """E over a box: value at the middle and slopes over the box; θ is not centred."""
-        at = tuple((m, m) for m in (lo / 2 + hi / 2 for lo, hi in box[: 2 * self.k]))
-        middle: Box = at + box[2 * self.k :]
+        """E over a box of (e, ξ̃, θ): value at the middle and slopes over the box."""
+        middle: Box = tuple((m, m) for m in (lo / 2 + hi / 2 for lo, hi in box))
         value = self._value_and_slopes(middle)[0]
         if middle == box:
             return value
         slopes = self._value_and_slopes(box)[1]
-        for (lo, hi), (m, _), slope in zip(box[: 2 * self.k], at, slopes, strict=True):
+        for (lo, hi), (m, _), slope in zip(box, middle, slopes, strict=True):
             value = value + slope * (ball(lo, hi) - arb(m))
         return value
 
@@ -325,13 +327,18 @@ class StoredRemainders(ABC):
         for i in range(k):
             pull = sum((self.slopes[j, k + i] * dk[j] for j in range(k)), arb(0))
             slopes.append(dh[i] + pull)
+        for (U, grad), own in zip(self.along_theta, steeper[k:], strict=True):
+            slope = evaluate(U, there) - evaluate(U, rest_q | known) + own
+            for v, g in zip(e, grad, strict=True):
+                slope = slope - evaluate(g, rest_q | known) * v
+            slopes.append(slope)
         return value, slopes
 
     def added(
         self, there: dict[sp.Symbol, arb], known: dict[sp.Symbol, arb], e: list[arb]
     ) -> tuple[arb, list[arb]]:
-        """What else E has, as a function of q and θ, and its slopes in q."""
-        return arb(0), [arb(0)] * self.k
+        """What else E has, as a function of q and θ, and its slopes in these."""
+        return arb(0), [arb(0)] * (self.k + len(self.symbols))
 
     @abstractmethod
     def is_positive(self, box: Box, stretches: int) -> bool:
