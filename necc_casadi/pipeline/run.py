@@ -26,6 +26,7 @@ from necc_casadi.methods.method import Method
 from necc_casadi.model.family_loop import FamilyLoop, NoFamily
 from necc_casadi.model.lagrangian import Plants
 from necc_casadi.model.model_file import Model
+from necc_casadi.model.parametric import Parametric
 from necc_casadi.model.plant import Plant
 from necc_casadi.model.ranges import Range
 from necc_casadi.model.spot_checks import check_model_at
@@ -64,6 +65,7 @@ if TYPE_CHECKING:  # what --check does not need is loaded when it is reached
     from necc_casadi.designs.family import Family
     from necc_casadi.designs.outcome import Start
     from necc_casadi.export.sampled_loop import SampledLoop
+    from necc_casadi.performance.beside_proof import BesideProof
     from necc_casadi.performance.measure import Performance
     from necc_casadi.simulation.responses import Trajectory
     from necc_casadi.synthesis.asked import Answer
@@ -128,7 +130,10 @@ def run_design(request: Request, say: Say) -> Findings:
     with whole_folder(request.out, _expected(request)) as folder:
         kept, task = _kept(request, task, clock)
         with ThreadPoolExecutor(1) as pool:  # compilers run while the loop is simulated and drawn
-            exported = pool.submit(_exported, request, kept.design, kept.certificate, folder, clock)
+            parametric = task.model.parametric
+            exported = pool.submit(
+                _exported, request, kept.design, kept.certificate, parametric, folder, clock
+            )
             found = _studied(request, task, found, kept, clock)
             return _written(request, found, folder, exported.result, clock)
 
@@ -154,7 +159,7 @@ def write_run(request: Request, found: Findings, out: Path, say: Say) -> Finding
             request,
             found,
             folder,
-            lambda: _exported(request, made, certificate, folder, clock),
+            lambda: _exported(request, made, certificate, found.parametric, folder, clock),
             clock,
         )
 
@@ -188,6 +193,7 @@ def _studied(request: Request, task: _Task, found: Findings, kept: _Kept, clock:
         simulated_share=motion.share,
         sampling=sampling,
         family=kept.family,
+        beside=_beside_proof(made, certificate, kept.family, task.model.parametric, clock),
         asked=choice.kept.asked if made.integral is None else None,
         performance=_compared(request, task, made, clock) if request.compare else None,
         sweep=sweep,
@@ -368,17 +374,18 @@ def _with_plants(
         plants = Plants(task.model.parametric, ranges.uncertain)
     if request.integral is False:
         made, certificate = choice.design, choice.certificate
-        if ranges.setpoints:
+        told = _told(task.model)
+        if ranges.setpoints or told is not None:
             with clock.stage("setpoints", "proving a box for all set-points"):
-                made, certificate = _with_setpoints(made, certificate, ranges.setpoints)
+                made, certificate = _with_setpoints(made, certificate, ranges.setpoints, told)
         return made, _with_momenta(made, certificate, plants)
     from necc_casadi.certificate.prover.certify import certify
     from necc_casadi.synthesis.integral import with_integral
 
     with clock.stage("integral", "adding integral action"):
         tau = None if request.integral is True else float(request.integral)
-        made = with_integral(choice.design, tau, plants)
-        return made, certify(made, plants=plants)
+        made = with_integral(choice.design, tau, plants, ranges.disturbance)
+        return made, certify(made, plants=plants, disturbance=ranges.disturbance)
 
 
 def _with_sampled_loop(
@@ -394,21 +401,29 @@ def _with_sampled_loop(
 
 
 def _with_setpoints(
-    made: Design, certificate: Certificate, setpoints: Mapping[str, Range]
+    made: Design, certificate: Certificate, setpoints: Mapping[str, Range], told: Plants | None
 ) -> tuple[Design, Certificate]:
-    """The design with set-points that move, where its code can move them.
+    """The design with set-points that move and parameters that are told, where its code can.
 
     What else is proved of it stays as it is.
     """
     from necc_casadi.certificate.claims.statements import SETPOINTS_ARE_NOT_COVERED
     from necc_casadi.certificate.prover.setpoints import prove_setpoints
 
-    moving = replace(made, setpoints=setpoints)
+    moving = replace(made, setpoints=setpoints, told=told)
     claim = prove_setpoints(moving)
     if claim is not None and claim.statement == SETPOINTS_ARE_NOT_COVERED:
         return made, certificate
     claims = certificate.claims if claim is None else (*certificate.claims, claim)
     return moving, replace(certificate, design_hash=moving.hash, claims=claims)
+
+
+def _told(model: Model) -> Plants | None:
+    """The plant with the parameters that are told at run time; None where none are."""
+    if not model.told or model.parametric is None:
+        return None
+    known = {k: v for k, v in model.parametric.values.items() if k not in model.told}
+    return Plants(model.parametric.at(known), model.told)
 
 
 def _with_momenta(made: Design, certificate: Certificate, plants: Plants | None) -> Certificate:
@@ -445,6 +460,23 @@ def _simulated(made: Design, clock: Clock) -> _Motion:
         return _Motion(responses, simulated_share(made, made.momenta, made.seed))
 
 
+def _beside_proof(
+    made: Design,
+    certificate: Certificate,
+    family: Family | None,
+    parametric: Parametric | None,
+    clock: Clock,
+) -> BesideProof | None:
+    """Plants that the proof is about, simulated; None where it is about one plant."""
+    from necc_casadi.performance.beside_proof import beside_proof, proved
+
+    found = proved(made, certificate, family)
+    if found is None:
+        return None
+    with clock.stage("plants", "simulating plants of the ranges that are proved"):
+        return beside_proof(made, found, parametric, made.seed)
+
+
 def _compared(request: Request, task: _Task, made: Design, clock: Clock) -> Performance:
     """Measure the design beside LQR and the optimum, and on plants that differ a little."""
     from necc_casadi.performance.measure import measure
@@ -460,7 +492,12 @@ def _compared(request: Request, task: _Task, made: Design, clock: Clock) -> Perf
 
 
 def _exported(
-    request: Request, made: Design, certificate: Certificate, out: Path, clock: Clock
+    request: Request,
+    made: Design,
+    certificate: Certificate,
+    parametric: Parametric | None,
+    out: Path,
+    clock: Clock,
 ) -> list[Path]:
     """Write the C controller and what was asked for around it."""
     from necc_casadi.export.c_project import export_c
@@ -473,6 +510,7 @@ def _exported(
         "integrator": request.integrator,
         "prefix": request.prefix,
         "certificate": certificate,
+        "parametric": parametric,
     }
     with clock.stage("export", "writing the C controller"):
         files = export_c(made, out / "c", **common)

@@ -25,6 +25,7 @@ if TYPE_CHECKING:  # a verdict alone needs none of these
     from necc_casadi.designs.measures import Measures
     from necc_casadi.export.sampled_loop import SampledLoop
     from necc_casadi.model.family_loop import NoFamily
+    from necc_casadi.performance.beside_proof import BesideProof
     from necc_casadi.performance.measure import Performance
     from necc_casadi.simulation.responses import Trajectory
     from necc_casadi.synthesis.asked import Asked
@@ -50,6 +51,7 @@ class Findings:
     performance: Performance | None = None  # with --compare
     sweep: Sequence[SweepPoint] = ()
     family: Family | None = None  # that the design is one of
+    beside: BesideProof | None = None  # plants that a proof is about, simulated
     no_family: NoFamily | None = None  # why there is provably none
     parametric: Parametric | None = None  # the plant with its parameters as symbols
     notes: tuple[str, ...] = ()

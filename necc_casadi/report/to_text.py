@@ -124,7 +124,8 @@ def facts(found: Findings) -> list[tuple[str, str]]:
     if found.sampling is not None:
         rows.append(("sampled", _sampled(found.sampling, found.certificate)))
     if found.certificate is not None:
-        rows += family_rows(found) + integral_rows(found) + _region_rows(found, found.certificate)
+        rows += family_rows(found) + integral_rows(found) + plants_rows(found)
+        rows += _region_rows(found, found.certificate)
         rows += [
             (mark(claim), f"{claim.name}: {claim.statement}") for claim in found.certificate.claims
         ]
@@ -167,7 +168,7 @@ def brief(found: Findings) -> list[tuple[str, str]]:
     if found.sampling is not None:
         rows.append(("sampled", _sampled(found.sampling, certificate)))
     if certificate is not None:
-        rows += family_rows(found) + integral_rows(found)
+        rows += family_rows(found) + integral_rows(found) + plants_rows(found)
         rows += [] if integral_rows(found) else _region_rows(found, certificate)[:2]
         proved = [claim.name for claim in certificate.claims if claim.holds]
         rows.append(("proved", ", ".join(proved) or "nothing"))
@@ -213,6 +214,17 @@ def _at_rest(found: Findings, error: Mapping[str, Sequence[float]]) -> str:
     shown = {name: " … ".join(outward(sides[name])) for name in moving}
     parts = [f"{name} {side} {units.get(name, '')}".rstrip() for name, side in shown.items()]
     return f"error at rest {', '.join(parts)}"
+
+
+def plants_rows(found: Findings) -> list[tuple[str, str]]:
+    """Plants of the ranges that are proved, simulated; none without a proof."""
+    if found.beside is None:
+        return []
+    from necc_casadi.report.beside import proved_and_sampled
+
+    plant = found.finished[0].loop.plant
+    text = proved_and_sampled(found.beside, plant.states, plant.units)
+    return [("plants", f"{text} (simulated)")]
 
 
 def integral_rows(found: Findings) -> list[tuple[str, str]]:

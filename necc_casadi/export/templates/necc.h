@@ -9,7 +9,7 @@
 #ifndef NECC_H
 #define NECC_H
 
-#define NECC_INTERFACE 2 /* version of the functions below */
+#define NECC_INTERFACE 3 /* version of the functions below */
 #define NECC_DESIGN "@design_hash@"
 #define @guard@
 @certificate_define@
