@@ -91,9 +91,8 @@ def test_what_words_and_figure_say():
     states = ("q", "p")
     assert shown_states(found, states) == [0]
     text = proved_and_sampled(found, states, {"q": "rad"})
-    assert text == (
-        "q proved -0.125 … 0.25 / sampled 0.15 … 0.15 rad, 2 plants; 1 of 2 plants do not rest nearby"
-    )
+    words = "q proved -0.125 … 0.25 / sampled 0.15 … 0.15 rad, 2 plants"
+    assert text == f"{words}; 1 of 2 plants do not rest nearby"
     assert len(proof_figure(found, "name", states, {}).axes) == 2
     nothing = replace(found, proved=replace(found.proved, error=dict.fromkeys(states, (0.0, 0.0))))
     assert proof_figure(nothing, "name", states, {}) is None
