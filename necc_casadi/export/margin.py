@@ -18,8 +18,9 @@ from necc_casadi.certificate.claims.certificate import Certificate
 from necc_casadi.certificate.claims.regions import Leaf, Region
 from necc_casadi.export.casadi2c import c_function
 from necc_casadi.export.integral_margin import integral_margin, integral_margin_obstacle
-from necc_casadi.export.level_set import level_set
+from necc_casadi.export.level_rounding import integral_rounding
 from necc_casadi.export.source import Source
+from necc_casadi.export.targets import moving_set
 from necc_casadi.export.templating import fill
 
 __all__ = [
@@ -35,8 +36,8 @@ __all__ = [
 _MOST_RUNS, _MOST_BITS = 4096, 64
 
 
-#: Of rounding in W, in spacings of the numbers next to 1: the level is lower by this share.
-_ROUNDINGS = 1e3
+#: Spacings of the numbers next to 1 by which the box of integral action is smaller.
+_ROUNDINGS = 64.0
 
 
 def has_margin(source: Source) -> bool:
@@ -53,8 +54,8 @@ def _missing(source: Source) -> str | None:
     if design.integral is not None:
         return integral_margin_obstacle(design, certificate, source.parametric)
     if design.setpoints or design.told:
-        moves = level_set(design, certificate) is not None
-        return None if moves else "nothing is proved of the set-points that move"
+        moves = moving_set(source) is not None
+        return None if moves else "nothing is proved of set-points, or rounding may be all of it"
     if region is None:
         if certificate.of_the_whole_space:
             return "what is proved holds from every state, below no level"
@@ -160,6 +161,7 @@ def _integral_code(source: Source) -> str:
     if found is None:
         return ""
     x, room = ca.SX.sym("x", source.n), 1 - _ROUNDINGS * real.eps
+    level = max(found.level - integral_rounding(found, real), real.tiny)
     low, high = found.resting
     return fill(
         "margin_integral.c",
@@ -172,7 +174,7 @@ def _integral_code(source: Source) -> str:
         weight=real.literals(found.weight),
         ends=len(found.energy.potentials),
         rest=real.literal(found.rest),
-        level=real.literal(found.level * room),
+        level=real.literal(level),
     )
 
 

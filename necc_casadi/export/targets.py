@@ -8,9 +8,14 @@ that halving finds. A new ξ may come with a move: V is tested with it.
 
 from __future__ import annotations
 
-import casadi as ca
+from functools import lru_cache
 
+import casadi as ca
+import numpy as np
+
+from necc_casadi.arrays import Vector
 from necc_casadi.export.casadi2c import c_function
+from necc_casadi.export.level_rounding import level_rounding
 from necc_casadi.export.level_set import LevelSet, level_set
 from necc_casadi.export.source import Source
 from necc_casadi.export.templating import comment, fill
@@ -18,17 +23,32 @@ from necc_casadi.export.templating import comment, fill
 __all__ = ["moving_set", "target_code", "target_constants", "target_declarations", "target_members"]
 
 
-#: Of rounding in V, in spacings of the numbers next to 1: the level is lower by this share.
-_ROUNDINGS = 1e3
+#: Of rounding where what is measured is seen from the set-point, in spacings of the numbers.
+_SHIFTS = 8.0
 
 
 #: u is the same within so many spacings of the numbers next to 1, of its size.
 _SAME = 64.0
 
 
+@lru_cache(maxsize=4)
 def moving_set(source: Source) -> LevelSet | None:
-    """What is proved of set-points that move, or of parameters that are told; else None."""
-    return level_set(source.design, source.certificate)
+    """What is proved of set-points that move, or of parameters that are told; else None.
+
+    None, too, where rounding may be all of the level.
+    """
+    found = level_set(source.design, source.certificate)
+    return None if found is None or _room(source, found) is None else found
+
+
+def _room(source: Source, found: LevelSet) -> tuple[float, Vector] | None:
+    """The level and the half widths of the box, lower by what rounding may be; None: by all."""
+    real, (low, high) = source.number, found.sides
+    level = found.level - level_rounding(found, real)
+    away = np.abs(found.q_star) + np.maximum(np.abs(low), np.abs(high))
+    shifted = np.concatenate([away, np.abs(source.design.xi_star)]) + found.half
+    half = found.half - _SHIFTS * real.eps * shifted
+    return (level, half) if level > 0 and np.all(half > 0) else None
 
 
 def target_constants(source: Source) -> str:
@@ -98,12 +118,12 @@ def target_code(source: Source) -> dict[str, str]:
     }
     low, high = found.sides
     least, most, nominal = found.told
-    room = 1 - _ROUNDINGS * real.eps
+    level, half = _room(source, found) or (0.0, found.half)
     code = fill(
         "target.c",
         xi_star=real.literals(design.xi_star),
-        half=real.literals(found.half * room),
-        level=real.literal(found.level * room),
+        half=real.literals(half * (1 - real.eps)),
+        level=real.literal(level * (1 - real.eps)),
         rest=real.literal(found.rest),
         infinite=f"HUGE_VAL{real.suffix.upper()}",
         fabs=f"fabs{real.suffix}",
