@@ -14,7 +14,7 @@ import casadi as ca
 from necc_casadi.designs.integral import integral_rate
 from necc_casadi.export.casadi2c import c_function
 from necc_casadi.export.margin import has_margin, margin_code, margin_takes_momenta
-from necc_casadi.export.networks import LANES, CNetwork, c_network, kernels, width
+from necc_casadi.export.networks import CNetwork, c_network, kernels, loop_sizes
 from necc_casadi.export.source import Source
 from necc_casadi.export.targets import target_code
 from necc_casadi.export.templating import fill, indent
@@ -37,8 +37,7 @@ def controller(source: Source) -> str:
         "necc.c",
         design_hash=source.design.hash,
         guard=f"NECC_DESIGN_{source.design.hash[:16]}",
-        lanes=LANES[source.real],
-        width=width(networks, LANES[source.real]),
+        sizes=loop_sizes(networks),
         literal="literal##f" if real.suffix else "literal",
         weights="\n".join(network.tables(real) for network in networks),
         kernels=kernels(networks, real),
@@ -84,7 +83,7 @@ def _networks(source: Source) -> list[CNetwork]:
     names = ["hc", "k", *(f"beta{i + 1}" for i in range(len(form.betas)))]
     names += ["phi"] if source.neural_phi else []
     triples = zip(names, form.networks, form.split(source.design.weights), strict=True)
-    return [c_network(*t, LANES[source.real]) for t in triples]
+    return [c_network(*t) for t in triples]
 
 
 def _leaves(source: Source) -> list[str]:

@@ -20,8 +20,7 @@
 
 const int necc_dimensions[4] = {NECC_NX, NECC_NXI, NECC_NU, (int)sizeof(necc_real)};
 
-#define LANES @lanes@
-#define WIDTH @width@ /* the widest layer, in whole LANES */
+@sizes@
 #define R(literal) @literal@
 
 /* Weights, column by column. */
