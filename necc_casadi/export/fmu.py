@@ -133,7 +133,9 @@ def _description(source: Source, guid: str, name: str) -> str:
     for file in _SOURCES:
         ET.SubElement(files, "File", name=file)
     measured = design.measurement
-    units = [escaped(measured.units.get(name, "")) for name in measured.names]
+    known = {**design.loop.plant.units, **measured.units}
+    names = (*measured.names, *design.loop.plant.input_names)
+    units = [escaped(known.get(name, "")) for name in names]
     definitions = dict.fromkeys(unit for unit in units if unit)
     if definitions:
         parent = ET.SubElement(root, "UnitDefinitions")
@@ -151,11 +153,10 @@ def _variables(root: ET.Element, source: Source, units: Sequence[str]) -> None:
     design, loop, at_target = source.design, source.design.loop, _at_target(source)
     margin = ["margin"] if has_margin(source) else []
     variables = ET.SubElement(root, "ModelVariables")
-    inputs = [f"u{i + 1}" for i in range(loop.plant.m)]
     *reals, flags, start = identifiers(
         [
             *design.measurement.names,
-            *inputs,
+            *source.input_columns,
             *loop.controller.states,
             *source.zeta_names,
             *margin,
@@ -179,7 +180,8 @@ def _variables(root: ET.Element, source: Source, units: Sequence[str]) -> None:
             add(name, i, "Real", value, causality="input", variability="continuous")
         else:
             words = {"causality": "output", "variability": "continuous", "initial": "calculated"}
-            add(name, i, "Real", {}, **words)
+            text = units[i] if i < len(units) else ""
+            add(name, i, "Real", {"unit": text} if text else {}, **words)
     add(
         flags, 0, "Integer", {}, causality="output", variability="discrete", initial="calculated",
         description="1: u clipped, 2: input not finite, 4: no minimum found, 8: target out of "

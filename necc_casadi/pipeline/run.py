@@ -24,7 +24,7 @@ from necc_casadi.interrupts import uninterrupted
 from necc_casadi.methods.find import Found, find_method
 from necc_casadi.methods.method import Method
 from necc_casadi.model.build_family import family_loop
-from necc_casadi.model.family_loop import NoFamily
+from necc_casadi.model.family_loop import FamilyLoop, NoFamily
 from necc_casadi.model.lagrangian import Plants
 from necc_casadi.model.model_file import Model
 from necc_casadi.model.plant import Plant
@@ -301,7 +301,7 @@ def _answered(task: _Task, options: Options, say: Say) -> Answer:
     return answered(method.loop, method.casimirs, method.verdict, task.x_star, options, report)
 
 
-def _chosen(task: _Task, clock: Clock) -> tuple[Choice, _Task]:
+def _chosen(request: Request, task: _Task, clock: Clock) -> tuple[Choice, _Task]:
     """Train, damp and prove what the options leave to choose from, and keep one.
 
     The task that comes back names the structure that is kept.
@@ -309,7 +309,14 @@ def _chosen(task: _Task, clock: Clock) -> tuple[Choice, _Task]:
     from necc_casadi.choice.structures import best_structure
 
     methods = (task.method, *task.found.alternatives)
-    choice, method, seconds = best_structure(methods, task.x_star, task.options, clock.say)
+
+    def members(method: Method) -> FamilyLoop | None:
+        if not task.model.ranges or request.integral is not False or task.options.learn_casimir:
+            return None
+        found = _family_of(task, method)
+        return None if isinstance(found, NoFamily) else found
+
+    choice, method, seconds = best_structure(methods, task.x_star, task.options, clock.say, members)
     clock.timings.update(seconds)
     return choice, replace(task, found=replace(task.found, chosen=method))
 
@@ -327,7 +334,7 @@ class _Kept:
 
 def _kept(request: Request, task: _Task, clock: Clock) -> tuple[_Kept, _Task]:
     """The choice, with integral action on top and the sampled loop proved where asked for."""
-    choice, task = _chosen(task, clock)
+    choice, task = _chosen(request, task, clock)
     made, certificate = _with_plants(request, task, choice, clock)
     family, because = None, None
     if task.model.ranges and request.integral is False:
@@ -337,18 +344,27 @@ def _kept(request: Request, task: _Task, clock: Clock) -> tuple[_Kept, _Task]:
     return _Kept(made, certificate, choice, family, because), task
 
 
+def _family_of(task: _Task, method: Method) -> FamilyLoop | NoFamily:
+    """The loop of a method for all of the ranges, or why there is none."""
+    model, star = task.model, tuple(task.x_star[s] for s in task.model.system.x)
+    return family_loop(
+        method.loop,
+        method.casimirs.functions,
+        star,
+        model.ranges,
+        model.parametric,
+        phi_is_sum=task.options.phi == "sum",
+    )
+
+
 def _no_family(request: Request, task: _Task) -> NoFamily | None:
     """Why no loop that may be taken holds the target for all of the ranges, proved."""
     ranges, first = task.model.ranges, task.found.chosen
     if not ranges or first is None or request.integral is not False:
         return None
-    star = tuple(task.x_star[s] for s in task.model.system.x)
     found: NoFamily | None = None
     for method in (first, *task.found.alternatives):
-        functions, sums = method.casimirs.functions, task.options.phi == "sum"
-        lifted = family_loop(
-            method.loop, functions, star, ranges, task.model.parametric, phi_is_sum=sums
-        )
+        lifted = _family_of(task, method)
         if not (isinstance(lifted, NoFamily) and lifted.reason == "refused"):
             return None
         found = found or lifted
