@@ -123,7 +123,7 @@ class CompiledController:
 
     def _state(self, kept: Sequence[float]) -> Any:
         """Memory for ``necc_state`` before its first sample: ξ, ζ, then what is not looked at."""
-        room = 2 * (self.nc + self.m + self.n) + 4
+        room = 3 * (self.nc + self.m + self.n) + 4
         return (self.real * room)(*(float(v) for v in kept))
 
     def _function(self, name: str) -> Any:

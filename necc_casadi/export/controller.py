@@ -63,18 +63,16 @@ def _integral(source: Source) -> dict[str, str]:
     """What integral action adds: its code, and ζ before, in and after a sample."""
     design, real = source.design, source.number
     if design.integral is None:
-        return dict.fromkeys(("integral", "counter", "keep", "integrate", "subtract", "store"), "")
+        return dict.fromkeys(("integral", "counter", "integrate", "subtract"), "")
     x, q_star = ca.SX.sym("x", source.n), design.z_star[: source.n // 2]
     rate = integral_rate(design.lyapunov, design.integral, q_star, measured=True)
     leaf = c_function("integral_rate", [("x", x)], [("rate", rate(x))], real)
     code = fill("integral.c", leaf=leaf, limit=real.literals(design.integral.limit))
     return {
         "integral": code,
-        "counter": "\n    necc_real zeta[NECC_NU];\n    int i;",
-        "keep": "\n    memcpy(zeta, state->zeta, sizeof zeta);",
-        "integrate": "\n        integrate(state->x, dt, zeta);",
-        "subtract": "\n    for (i = 0; i < NECC_NU; ++i)\n        v[i] -= zeta[i];",
-        "store": "\n    memcpy(state->zeta, zeta, sizeof zeta);",
+        "counter": "\n    int i;",
+        "integrate": "integrate(next.x, dt, next.zeta, next.zeta_rest);",
+        "subtract": "\n    for (i = 0; i < NECC_NU; ++i) {\n        v[i] -= state->zeta[i];\n    }",
     }
 
 
@@ -117,6 +115,7 @@ def _leaves(source: Source) -> list[str]:
     if needs_state(source):
         leaves.append(c_function("model_state", arguments[:1], [("state", state)], real))
     leaves.append(c_function("control_law", arguments, [("u", u), ("xidot", s_dot)], real))
+    leaves.append(c_function("state_rate", arguments, [("xidot", s_dot)], real))
     leaves.append(c_function("energy_slope", arguments, [("gradient", V_xi)], real))
     return leaves
 
