@@ -16,7 +16,7 @@ int necc_set_parameter(necc_state *state, const necc_real theta[NECC_NTHETA])
     if (state->sampled) {
         unseen(state->x, state->r, x);
         if (admits(state, x, state->r, theta, xi))
-            memcpy(state->xi, xi, sizeof state->xi);
+            take(state, x, state->r, xi);
         else
             covered = share_of_level(state->x, state->xi, state->r, theta) <= R(1.0);
     }

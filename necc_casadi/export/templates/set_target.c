@@ -15,8 +15,7 @@ int necc_set_target(necc_state *state, const necc_real x[NECC_NX], const necc_re
     if (memcmp(r, state->r, sizeof state->r) == 0)
         return NECC_OK;
     if (admits(state, x, r@theta_of_state@, xi)) {
-        memcpy(state->r, r, sizeof state->r);
-        memcpy(state->xi, xi, sizeof state->xi);
+        take(state, x, r, xi);
         return NECC_OK;
     }
     memcpy(kept, state->r, sizeof kept);
@@ -34,8 +33,7 @@ int necc_set_target(necc_state *state, const necc_real x[NECC_NX], const necc_re
             memcpy(kept_xi, xi, sizeof kept_xi);
         }
     }
-    memcpy(state->r, kept, sizeof kept);
-    memcpy(state->xi, kept_xi, sizeof kept_xi);
+    take(state, x, kept, kept_xi);
     return moved ? NECC_LIMITED : NECC_REFUSED;
 }
 

@@ -106,6 +106,20 @@ static int admits(const necc_state *state, const necc_real x[NECC_NX],
     return share_of_level(at, xi, r@theta@) <= R(1.0);
 }
 
+/* r and xi are taken at x. Where xi jumps, it goes on from there: nothing that rounding left of the
+ * old one is added to it, and its rate is that of what the law sees now. */
+static void take(necc_state *state, const necc_real x[NECC_NX], const necc_real r[NECC_NR],
+                 const necc_real xi[NECC_NXI])
+{
+    if (memcmp(xi, state->xi, sizeof state->xi) != 0) {
+        memcpy(state->xi, xi, sizeof state->xi);
+        memset(state->xi_rest, 0, sizeof state->xi_rest);
+        seen(x, r, state->x);
+        state->moved = 1;
+    }
+    memmove(state->r, r, sizeof state->r);
+}
+
 void necc_set_switch(necc_state *state, int how)
 {
     state->how = how;
