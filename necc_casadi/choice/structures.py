@@ -1,4 +1,4 @@
-"""Of the structures of one method that hold a target, the one that responds best."""
+"""Of the structures that hold a target, the one that responds best."""
 
 from __future__ import annotations
 
@@ -25,6 +25,7 @@ def best_structure(
     x_star: Mapping[sp.Symbol, sp.Expr],
     options: Options,
     say: Callable[[str], None],
+    later: Callable[[], Method | None] = lambda: None,
 ) -> tuple[Choice, Method, dict[str, float]]:
     """What is kept, for which structure, and the seconds that all of them took by stage.
 
@@ -34,16 +35,26 @@ def best_structure(
         Structures that hold the target, at least one, in the order in which they are tried.
     x_star, options, say
         As of :func:`choose`.
+    later
+        Looks for a structure of another method; asked where nothing is proved for `methods`.
     """
     made: list[tuple[Choice, Method]] = []
     seconds: dict[str, float] = {}
-    for method in methods:
-        if made and _is_good(made[0][0].kept):
-            break
+
+    def made_of(method: Method) -> None:
         choice = choose(method.loop, method.casimirs, method.verdict, x_star, options, say)
         made.append((choice, method))
         for stage, time in choice.seconds.items():
             seconds[stage] = seconds.get(stage, 0.0) + time
+
+    for method in methods:
+        if made and _is_good(made[0][0].kept):
+            break
+        made_of(method)
+    if not any(choice.kept.proved for choice, _ in made):
+        other = later()
+        if other is not None:
+            made_of(other)
     choice, method = max(made, key=lambda pair: _merit(pair[0].kept))
     return choice, method, seconds
 

@@ -31,7 +31,7 @@ from necc_casadi.model.sizes import natural_sizes
 from necc_casadi.symbolic.zero import Undecided
 from necc_casadi.verdict.judge import judge
 
-__all__ = ["Found", "find_method"]
+__all__ = ["Found", "find_later", "find_method"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,9 +101,34 @@ def find_method(
     question = _Question(system, x_star, wanted, say, weigh)
     if isinstance(system, Modulated):
         published = question.shifted_loop
+    held, refusals = _first_that_holds(question.families(), most)
+    chosen = held[0] if held else None
+    return Found(published, chosen, refusals, tuple(held[1:]), asked)
+
+
+def find_later(
+    model: Model,
+    x_star: Mapping[sp.Symbol, sp.Expr],
+    name: MethodName,
+    say: Callable[[str], None] = lambda _: None,
+    weigh: Weigh = bryson,
+) -> Method | None:
+    """What holds a target by a method that comes after the one of this name, if any does.
+
+    The parameters are those of :func:`find_method`.
+    """
+    question = _Question(model.system, x_star, "auto", say, weigh)
+    held, _ = _first_that_holds(question.families(after=name), 1)
+    return held[0] if held else None
+
+
+def _first_that_holds(
+    families: Iterator[Iterator[Method | Refusal]], most: int
+) -> tuple[list[Method], tuple[Refusal, ...]]:
+    """Up to `most` structures of the first method that has any, and what the others lack."""
     refusals: list[Refusal] = []
-    held: list[Method] = []
-    for answers in question.families():
+    for answers in families:
+        held: list[Method] = []
         for answer in answers:
             if isinstance(answer, Method):
                 held.append(answer)
@@ -112,9 +137,8 @@ def find_method(
             if len(held) == most:
                 break
         if held:
-            break
-    chosen = held[0] if held else None
-    return Found(published, chosen, tuple(refusals), tuple(held[1:]), asked)
+            return held, tuple(refusals)
+    return [], tuple(refusals)
 
 
 def _published(
@@ -163,15 +187,17 @@ class _Question:
     say: Callable[[str], None]
     weigh: Weigh
 
-    def families(self) -> Iterator[Iterator[Method | Refusal]]:
-        """What each method other than the published loop says, in order."""
+    def families(self, after: MethodName | None = None) -> Iterator[Iterator[Method | Refusal]]:
+        """What each method other than the published loop says, in order, or each after one."""
         families: dict[MethodName, Callable[[], Iterator[Method | Refusal]]] = {
             "modulated": self._modulated,
             "shaping": self._shaping,
             "mechanical": self._mechanical,
             "constant": self._constant,
         }
-        for name, answers in families.items():
+        names = list(families)
+        for name in names if after is None else names[names.index(after) + 1 :]:
+            answers = families[name]
             if self.wanted in ("auto", name):
                 yield _decided(name, answers)
 

@@ -17,12 +17,13 @@ from typing import TYPE_CHECKING, Any
 
 import sympy as sp
 
+from necc_casadi.cases import MethodWord
 from necc_casadi.errors import InputError
 from necc_casadi.files import LISTING, check_writable, write_text
 from necc_casadi.folders import whole_folder
 from necc_casadi.interrupts import uninterrupted
-from necc_casadi.methods.find import Found, find_method
-from necc_casadi.methods.method import Method
+from necc_casadi.methods.find import Found, find_later, find_method
+from necc_casadi.methods.method import Method, Refusal
 from necc_casadi.model.build_family import family_loop
 from necc_casadi.model.family_loop import NoFamily
 from necc_casadi.model.lagrangian import Plants
@@ -233,6 +234,7 @@ class _Task:
     found: Found
     options: Options
     notes: tuple[str, ...]
+    wanted: MethodWord  # the method that was asked for
 
     @property
     def method(self) -> Method:
@@ -273,7 +275,7 @@ def _judged(request: Request, say: Say) -> _Task:
     if is_plant and request.structure is None and _wants_more(found):
         say("searching for a controller structure that helps")
         notes += structure_offers(model, x_star)
-    return _Task(model, x_star, found, options, tuple(notes))
+    return _Task(model, x_star, found, options, tuple(notes), method)
 
 
 def _wants_more(found: Found) -> bool:
@@ -309,9 +311,21 @@ def _chosen(task: _Task, clock: Clock) -> tuple[Choice, _Task]:
     from necc_casadi.choice.structures import best_structure
 
     methods = (task.method, *task.found.alternatives)
-    choice, method, seconds = best_structure(methods, task.x_star, task.options, clock.say)
+
+    def later() -> Method | None:
+        name = task.method.name
+        if task.wanted != "auto" or name == "interconnection":
+            return None
+        return find_later(task.model, task.x_star, name, clock.say, task.options.cost)
+
+    kept = best_structure(methods, task.x_star, task.options, clock.say, later)
+    choice, method, seconds = kept
     clock.timings.update(seconds)
-    return choice, replace(task, found=replace(task.found, chosen=method))
+    found = replace(task.found, chosen=method)
+    if method.name != task.method.name:
+        passed = Refusal(task.method.name, "nothing is proved of the design that it gives", False)
+        found = replace(found, refusals=(*found.refusals, passed))
+    return choice, replace(task, found=found)
 
 
 @dataclass(frozen=True, eq=False)
