@@ -66,6 +66,7 @@ def test_regions_reach_almost_all_of_a_real_obstacle(case, tmp_path):
         ("pendulum", "pi", "converges"),
         ("mass_spring_chain", None, "converges"),
         ("series_rlc", None, "converges"),
+        ("quarter_car", None, "converges"),
         ("symmetric_chain", None, "stable"),
         ("tora", None, "converges"),
     ],
