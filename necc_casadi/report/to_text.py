@@ -44,6 +44,10 @@ __all__ = [
 ]
 
 
+#: Constants with more letters than this are said in decimals alone.
+_LONG_CONSTANT = 40
+
+
 #: Columns of a page, of the labels, and of the labels inside a block.
 _WIDTH, _INDENT, _SUB = 98, 14, 11
 
@@ -340,11 +344,18 @@ def _target(found: Findings) -> str:
         if many and value == 0:
             continue
         unit = found.system.units.get(str(symbol), "")
-        decimal = "" if value.is_Integer else f" = {to_float(value):.6g}"
-        parts.append(_tied(f"{symbol} = {sp.sstr(value)}{decimal} {unit}".rstrip()))
+        parts.append(_tied(f"{symbol} {_constant(value)} {unit}".rstrip()))
     if many:
         return f"{', '.join(parts[:_MANY])}{', …' if len(parts) > _MANY else ''}; zeros not listed"
     return ", ".join(parts)
+
+
+def _constant(value: sp.Expr) -> str:
+    """A constant, exact where that is short, and its decimals."""
+    exact, decimal = sp.sstr(value), f"{to_float(value):.6g}"
+    if value.is_Integer:
+        return f"= {exact}"
+    return f"= {exact} = {decimal}" if len(exact) <= _LONG_CONSTANT else f"≈ {decimal}"
 
 
 def _sizes(design: Design) -> str:
