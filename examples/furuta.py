@@ -4,7 +4,7 @@
 Source: Quanser, QUBE-Servo 2 user manual, for the rods (arm 95 g, 85 mm; pendulum 24 g, 129 mm);
 Furuta, Yamakita, Kobayashi, Swing-up Control of Inverted Pendulum Using Pseudo-State Feedback,
 Journal of Systems and Control Engineering 206 (1992), for the model; bearings without friction.
-Try: necc-design furuta.py --target theta=0
+Try: necc-design furuta.py
 """
 
 import sympy as sp

@@ -70,8 +70,8 @@ __all__ = ["REPORT", "run_design", "write_run"]
 REPORT = "report.html"
 
 
-#: Structures of one method that are designed for, to keep the one that responds best.
-_STRUCTURES = 2
+#: Structures that may be designed for, to keep one; the third only if nothing else is proved.
+_STRUCTURES = 3
 
 
 _RESPONSES = 10
@@ -309,9 +309,10 @@ def _chosen(task: _Task, clock: Clock) -> tuple[Choice, _Task]:
     from necc_casadi.choice.structures import best_structure
 
     methods = (task.method, *task.found.alternatives)
-    choice, method, seconds = best_structure(methods, task.x_star, task.options, clock.say)
-    clock.timings.update(seconds)
-    return choice, replace(task, found=replace(task.found, chosen=method))
+    kept = best_structure(methods, task.x_star, task.options, clock.say)
+    clock.timings.update(kept.seconds)
+    found = replace(task.found, chosen=kept.method, passed=kept.passed)
+    return kept.choice, replace(task, found=found)
 
 
 @dataclass(frozen=True, eq=False)

@@ -23,6 +23,7 @@ def method_rows(found: Found) -> list[tuple[str, str]]:
     if method is not None and method.name != "interconnection":
         rows.append(("method", f"{method.name}: {_verdict(method)}"))
         rows += [("", line) for line in _formulas(method)]
+        rows += [("", f"instead of {other.name}: {other.because}") for other in found.passed]
         rows.append(("", "the controller contains the model: errors of its parameters displace it"))
     rows += [
         ("not held", f"{refusal.name}: {refusal.reason}{'' if refusal.proved else ' (no proof)'}")

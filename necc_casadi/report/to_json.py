@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import sympy as sp
@@ -9,7 +10,7 @@ import sympy as sp
 from necc_casadi.arrays import Vector
 from necc_casadi.casimirs.casimirs import Casimirs
 from necc_casadi.files import finite
-from necc_casadi.methods.method import Method
+from necc_casadi.methods.method import Method, PassedStructure
 from necc_casadi.model.family_loop import Kind
 from necc_casadi.model.shaped_loop import ShapedLoop
 from necc_casadi.report.asked import asked_text
@@ -42,7 +43,7 @@ def to_json(found: Findings) -> dict[str, Any]:
         "controller": None if held is None else {"states": list(held.loop.controller.states)},
         "target": {str(s): to_float(found.x_star[s]) for s in system.x},
         "verdict": None if published is None else _verdict(published.verdict, published.casimirs),
-        "method": None if method is None else _method(method),
+        "method": None if method is None else _method(method, found.found.passed),
         "methods_refused": [vars(refusal) for refusal in found.found.refusals] or None,
         "design": None
         if found.design is None or found.measures is None
@@ -248,12 +249,13 @@ def _verdict(verdict: Verdict, casimirs: Casimirs) -> dict[str, Any]:
     }
 
 
-def _method(method: Method) -> dict[str, Any]:
+def _method(method: Method, passed: Sequence[PassedStructure]) -> dict[str, Any]:
     """How the target is held, with formulas as text."""
     loop = method.loop
     ahead, shaped = loop.plant.preliminary, isinstance(loop, ShapedLoop)
     return {
         "name": method.name,
+        "instead_of": [vars(other) for other in passed],
         "shaping": [to_text(g) for g in loop.gamma] if shaped else None,
         "alpha": matrix_text(loop.feedback) if shaped else None,
         "structure": None
