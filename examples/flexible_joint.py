@@ -2,7 +2,7 @@
 
 Source: Spong, Modeling and Control of Elastic Joint Robots, Journal of Dynamic Systems,
 Measurement, and Control 109 (1987), with numbers typical of a small laboratory arm.
-Try: necc-design flexible_joint.py --target 0
+Try: necc-design flexible_joint.py --target q=0
 """
 
 import sympy as sp

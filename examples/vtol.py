@@ -3,7 +3,7 @@
 F₁ is the sideways force at the nozzle, which also turns the craft, F₂ the thrust along its axis.
 Source: Åström, Murray, Feedback Systems, Princeton (2008), example 2.9, for the ducted fan:
 4 kg, 0.0475 kg m², nozzle at 0.25 m.
-Try: necc-design vtol.py --target 0
+Try: necc-design vtol.py --target x=0,y=0
 """
 
 import sympy as sp
