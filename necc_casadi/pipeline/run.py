@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 import sympy as sp
 
+from necc_casadi.arrays import Vector
 from necc_casadi.errors import InputError
 from necc_casadi.files import LISTING, check_writable, write_text
 from necc_casadi.folders import whole_folder
@@ -27,6 +28,7 @@ from necc_casadi.model.build_family import family_loop
 from necc_casadi.model.family_loop import NoFamily
 from necc_casadi.model.lagrangian import Plants
 from necc_casadi.model.model_file import Model
+from necc_casadi.model.modulated import System
 from necc_casadi.model.plant import Plant
 from necc_casadi.model.ranges import Range
 from necc_casadi.model.spot_checks import check_model_at
@@ -170,6 +172,7 @@ def _studied(request: Request, task: _Task, found: Findings, kept: _Kept, clock:
     sweep: tuple[SweepPoint, ...] = ()
     if request.sweep_a is not None:
         sweep = _swept(request.sweep_a, task, choice.kept.options, clock)
+    performance = _compared(request, task, made, clock) if request.compare else None
     sampling = _sampled(request, made)
     warning = None if sampling is None else sampling.warning
     return replace(
@@ -184,7 +187,8 @@ def _studied(request: Request, task: _Task, found: Findings, kept: _Kept, clock:
         sampling=sampling,
         family=kept.family,
         asked=choice.kept.asked if made.integral is None else None,
-        performance=_compared(request, task, made, clock) if request.compare else None,
+        performance=performance,
+        parameter_errors=_displaced(request, task, made, performance, clock),
         sweep=sweep,
         notes=(
             *task.notes,
@@ -462,13 +466,33 @@ def _compared(request: Request, task: _Task, made: Design, clock: Clock) -> Perf
     from necc_casadi.performance.measure import measure
 
     with clock.stage("compare", "comparing with LQR and the optimum"):
-        others = {}
-        for name, value in task.model.params.items():
-            if value != 0:
-                changed = f"{name}={sp.sstr(value * _LARGER)}"
-                with contextlib.suppress(InputError):  # no such plant: nothing to hold
-                    others[name] = read_model(request, changed).system
+        others = _with_larger_parameters(request, task)
         return measure(made, cost=task.options.cost(made.sizes, made.loop.plant.n), others=others)
+
+
+def _displaced(
+    request: Request, task: _Task, made: Design, known: Performance | None, clock: Clock
+) -> Mapping[str, Vector | None]:
+    """Where a controller that contains the model rests when a parameter is wrong."""
+    from necc_casadi.performance.steady_error import parameter_errors
+
+    if task.method.name == "interconnection":
+        return {}
+    if known is not None:
+        return known.errors.parameters
+    with clock.stage("compare", "trying other parameters"):
+        return parameter_errors(made, _with_larger_parameters(request, task))
+
+
+def _with_larger_parameters(request: Request, task: _Task) -> dict[str, System]:
+    """The plant with each of its parameters a little larger, by name."""
+    others = {}
+    for name, value in task.model.params.items():
+        if value != 0:
+            changed = f"{name}={sp.sstr(value * _LARGER)}"
+            with contextlib.suppress(InputError):  # no such plant: nothing to hold
+                others[name] = read_model(request, changed).system
+    return others
 
 
 def _exported(
