@@ -12,7 +12,7 @@ import numpy as np
 import sympy as sp
 
 from necc_casadi.casimirs.casimirs import Casimirs
-from necc_casadi.model.modulated import System
+from necc_casadi.model.lagrangian import integral_obstacle
 from necc_casadi.report.asked import asked_text, missed
 from necc_casadi.report.compared import comparison, error_lines
 from necc_casadi.report.findings import Findings, attracts, global_claim, held_claim, region_claim
@@ -68,6 +68,13 @@ _BEGINS = {
 }
 
 
+#: What is offered against errors at rest.
+_INTEGRAL = (
+    "with --integral neither a constant disturbance of u nor wrong inertia, potential or friction "
+    "displaces it"
+)
+
+
 #: Claims that no exit code rests on.
 _OPTIONAL_CLAIMS = ("global", "everywhere", "input_limits", "clipping", "momenta")
 
@@ -110,7 +117,7 @@ def facts(found: Findings) -> list[tuple[str, str]]:
     if published is not None:
         rows.append(("Casimirs", _casimirs(published.casimirs)))
         rows.append(("verdict", _verdict_text(published.verdict)))
-    rows += method_rows(found.found)
+    rows += method_rows(found)
     if found.design is not None and found.measures is not None:
         rows.append(("sizes", _sizes(found.design)))
         rows += _design_rows(found.design, found.measures, found.certificate)
@@ -120,7 +127,7 @@ def facts(found: Findings) -> list[tuple[str, str]]:
         rows.append(("choice", found.choice.reason))
     rows += _asked_rows(found)
     if found.performance is not None:
-        rows += _compared_rows(found.performance, found.system)
+        rows += _compared_rows(found, found.performance)
     if found.responses:
         rows.append(("responses", _responses(found)))
     if found.choice is not None:
@@ -159,14 +166,14 @@ def brief(found: Findings) -> list[tuple[str, str]]:
     if published is not None:
         rows.append(("Casimirs", _casimirs(published.casimirs)))
         rows.append(("verdict", _verdict_text(published.verdict)))
-    rows += method_rows(found.found)
+    rows += method_rows(found)
     if found.design is not None and found.measures is not None:
         rows.append(("design", _brief_design(found, found.measures)))
         if found.design.learned is not None:
             rows.append(("learned", _learned(found.design.learned)))
     rows += _asked_rows(found)
     if found.performance is not None:
-        rows += _compared_rows(found.performance, found.system)
+        rows += _compared_rows(found, found.performance)
     if found.responses:
         rows.append(("responses", _responses(found)))
     if found.sampling is not None:
@@ -323,11 +330,20 @@ def _refusal(found: Findings) -> str:
     return "the published loop is refused, with proof; no other that holds the target was found"
 
 
-def _compared_rows(performance: Performance, plant: System) -> list[tuple[str, str]]:
+def _compared_rows(found: Findings, performance: Performance) -> list[tuple[str, str]]:
     """The table, unbroken, and what rests elsewhere."""
-    first, *lines = comparison(performance, plant)
+    first, *lines = comparison(performance, found.system)
     rows = [("compared", _tied(first)), *(("", _tied(line)) for line in lines)]
-    return rows + [("", line) for line in error_lines(performance, plant)]
+    rows += [("", line) for line in error_lines(performance, found.system)]
+    return rows + ([("", _INTEGRAL)] if _takes_integral(found.design) else [])
+
+
+def _takes_integral(design: Design | None) -> bool:
+    """Whether integral action is offered for a design that has none."""
+    if design is None or design.integral is not None:
+        return False
+    functions, is_sum = design.casimirs.functions, design.form.phi is None
+    return integral_obstacle(design.loop, functions, is_sum) is None
 
 
 def target_text(found: Findings) -> str:
