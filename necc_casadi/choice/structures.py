@@ -22,6 +22,7 @@ from necc_casadi.choice.decide import NEAR
 from necc_casadi.choice.fitness import response_faults
 from necc_casadi.choice.judged import Judged, Trial, cost_ratio
 from necc_casadi.methods.method import Method, PassedStructure
+from necc_casadi.model.family_loop import FamilyLoop
 from necc_casadi.synthesis.options import Options
 
 __all__ = ["KeptStructure", "best_structure"]
@@ -50,6 +51,7 @@ def best_structure(
     x_star: Mapping[sp.Symbol, sp.Expr],
     options: Options,
     say: Callable[[str], None],
+    family: Callable[[Method], FamilyLoop | None] = lambda _: None,
 ) -> KeptStructure:
     """The structure that is kept, with its design.
 
@@ -59,6 +61,8 @@ def best_structure(
         Structures that hold the target, at least one, in the order in which they are tried.
     x_star, options, say
         As of :func:`choose`.
+    family
+        The loop of a structure for other plants and set-points, where they are asked for.
     """
     seconds: dict[str, float] = {}
 
@@ -81,7 +85,7 @@ def best_structure(
                 if fewer is not None:
                     passed.append(PassedStructure(method.name, fewer))
                     continue
-        choice = choose(*parts)
+        choice = choose(*parts, family(method))
         took(choice.seconds)
         if kept is None:
             kept = choice, method

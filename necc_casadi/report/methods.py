@@ -8,7 +8,7 @@ from necc_casadi.methods.method import Method
 from necc_casadi.model.shaped_loop import ShapedLoop
 from necc_casadi.report.compared import parameter_lines
 from necc_casadi.report.findings import Findings
-from necc_casadi.symbolic.expressions import to_text
+from necc_casadi.report.formulas import readable
 
 __all__ = ["method_rows"]
 
@@ -57,14 +57,20 @@ def _formulas(method: Method) -> list[str]:
     ahead = loop.plant.preliminary
     lines = []
     if ahead is not None:
-        u0, gain = _matrix(ahead.u0), _matrix(ahead.gain)
-        by = "w" if (ahead.gain - sp.eye(ahead.gain.rows)).is_zero_matrix else f"{gain} w"
-        lines.append(f"u = {u0} + {by}; for w the plant has H = {_shown(loop.plant.H)}")
+        alone = (ahead.gain - sp.eye(ahead.gain.rows)).is_zero_matrix
+        by = "w" if alone else f"{_matrix(ahead.gain)} w"
+        lines.append(
+            f"u {_sign(ahead.u0, ahead.gain)} {_matrix(ahead.u0)} + {by}; for w the plant has "
+            f"H {_sign(loop.plant.H)} {_shown(loop.plant.H)}"
+        )
     if isinstance(loop, ShapedLoop) and not any(loop.shaping):
         lines.append("damping alone: w = −D y, y = Gᵀ∇H, and what a coupled damping adds")
     elif isinstance(loop, ShapedLoop):
         gammas = ", ".join(_shown(g) for g in loop.shaping)
-        lines.append(f"shaping functions γ = {gammas}; α = {_matrix(loop.alpha)}; ξ̇ = ∇γᵀẋ + v_c")
+        alpha = f"α {_sign(loop.alpha)} {_matrix(loop.alpha)}"
+        lines.append(
+            f"shaping functions γ {_sign(*loop.shaping)} {gammas}; {alpha}; ξ̇ = ∇γᵀẋ + v_c"
+        )
     return lines
 
 
@@ -75,6 +81,12 @@ def _matrix(matrix: sp.MatrixBase) -> str:
     return f"[{'; '.join(rows)}]"
 
 
+def _sign(*values: sp.Expr | sp.MatrixBase) -> str:
+    """Whether what follows is said exactly or with rounded numbers."""
+    entries = (e for v in values for e in (v if isinstance(v, sp.MatrixBase) else [v]))
+    return "≈" if any(readable(e)[1] for e in entries) else "="
+
+
 def _shown(expr: sp.Expr) -> str:
-    text = to_text(expr)
+    text = readable(expr)[0]
     return text if len(text) <= _LONGEST else f"{text[: _LONGEST - 1]}…"

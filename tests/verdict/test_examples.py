@@ -38,7 +38,15 @@ VERDICTS = {
     "flexible_joint": ("invisible_negative_curvature", None, 1),
 }
 #: Plants with inputs in J, sources, or no energy: the published loop is not defined for them.
-OF_OTHER_METHODS = {"boost", "buck_boost", "cuk", "pmsm", "cstr", "turbine_generator"}
+OF_OTHER_METHODS = {
+    "boost",
+    "buck_boost",
+    "cuk",
+    "pmsm",
+    "cstr",
+    "turbine_generator",
+    "induction_motor",
+}
 
 
 @pytest.mark.parametrize(
