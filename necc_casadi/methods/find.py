@@ -17,7 +17,7 @@ from necc_casadi.methods.ahead import plant_with_feedback
 from necc_casadi.methods.constant import constant_structure
 from necc_casadi.methods.linear_target import Weigh, linear_target
 from necc_casadi.methods.mechanical import mechanical_structures
-from necc_casadi.methods.method import Method, Refusal
+from necc_casadi.methods.method import Method, PassedStructure, Refusal
 from necc_casadi.methods.modulated import at_its_minimum, shifted_plant
 from necc_casadi.methods.no_structure import NoStructure
 from necc_casadi.methods.shaping import power_shaping
@@ -31,7 +31,7 @@ from necc_casadi.model.sizes import natural_sizes
 from necc_casadi.symbolic.zero import Undecided
 from necc_casadi.verdict.judge import judge
 
-__all__ = ["Found", "find_later", "find_method"]
+__all__ = ["Found", "find_method"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,7 +41,8 @@ class Found:
     published: Method | None  # the published loop, whatever its verdict; None: no such loop
     chosen: Method | None  # what holds the target
     refusals: tuple[Refusal, ...] = ()  # of the methods that do not
-    alternatives: tuple[Method, ...] = ()  # other structures of the method that was chosen
+    alternatives: tuple[Method, ...] = ()  # other structures that hold it
+    passed: tuple[PassedStructure, ...] = ()  # those of them that were compared and are not kept
     asked: bool = True  # whether the published loop is one of the methods that were asked
 
     @property
@@ -89,7 +90,7 @@ def find_method(
     say
         Called with what is done next.
     most
-        Structures of the method that holds the target, of which the best response is to be kept.
+        Structures that hold the target, of this and of later methods, one of which is to be kept.
     weigh
         What responses cost: it chooses the numbers that a structure leaves free.
     """
@@ -101,34 +102,9 @@ def find_method(
     question = _Question(system, x_star, wanted, say, weigh)
     if isinstance(system, Modulated):
         published = question.shifted_loop
-    held, refusals = _first_that_holds(question.families(), most)
-    chosen = held[0] if held else None
-    return Found(published, chosen, refusals, tuple(held[1:]), asked)
-
-
-def find_later(
-    model: Model,
-    x_star: Mapping[sp.Symbol, sp.Expr],
-    name: MethodName,
-    say: Callable[[str], None] = lambda _: None,
-    weigh: Weigh = bryson,
-) -> Method | None:
-    """What holds a target by a method that comes after the one of this name, if any does.
-
-    The parameters are those of :func:`find_method`.
-    """
-    question = _Question(model.system, x_star, "auto", say, weigh)
-    held, _ = _first_that_holds(question.families(after=name), 1)
-    return held[0] if held else None
-
-
-def _first_that_holds(
-    families: Iterator[Iterator[Method | Refusal]], most: int
-) -> tuple[list[Method], tuple[Refusal, ...]]:
-    """Up to `most` structures of the first method that has any, and what the others lack."""
     refusals: list[Refusal] = []
-    for answers in families:
-        held: list[Method] = []
+    held: list[Method] = []
+    for answers in question.families():
         for answer in answers:
             if isinstance(answer, Method):
                 held.append(answer)
@@ -136,9 +112,10 @@ def _first_that_holds(
                 refusals.append(answer)
             if len(held) == most:
                 break
-        if held:
-            return held, tuple(refusals)
-    return [], tuple(refusals)
+        if len(held) == most:
+            break
+    chosen = held[0] if held else None
+    return Found(published, chosen, tuple(refusals), tuple(held[1:]), asked=asked)
 
 
 def _published(
@@ -187,17 +164,15 @@ class _Question:
     say: Callable[[str], None]
     weigh: Weigh
 
-    def families(self, after: MethodName | None = None) -> Iterator[Iterator[Method | Refusal]]:
-        """What each method other than the published loop says, in order, or each after one."""
+    def families(self) -> Iterator[Iterator[Method | Refusal]]:
+        """What each method other than the published loop says, in order."""
         families: dict[MethodName, Callable[[], Iterator[Method | Refusal]]] = {
             "modulated": self._modulated,
             "shaping": self._shaping,
             "mechanical": self._mechanical,
             "constant": self._constant,
         }
-        names = list(families)
-        for name in names if after is None else names[names.index(after) + 1 :]:
-            answers = families[name]
+        for name, answers in families.items():
             if self.wanted in ("auto", name):
                 yield _decided(name, answers)
 

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import sympy as sp
 
-from necc_casadi.methods.find import Found
 from necc_casadi.methods.method import Method
 from necc_casadi.model.shaped_loop import ShapedLoop
+from necc_casadi.report.compared import parameter_lines
+from necc_casadi.report.findings import Findings
 from necc_casadi.report.formulas import readable
 
 __all__ = ["method_rows"]
@@ -16,19 +17,32 @@ __all__ = ["method_rows"]
 _LONGEST = 240
 
 
-def method_rows(found: Found) -> list[tuple[str, str]]:
+def method_rows(findings: Findings) -> list[tuple[str, str]]:
     """Label and text of each line about methods other than the published loop."""
+    found = findings.found
     method = found.chosen
     rows: list[tuple[str, str]] = []
     if method is not None and method.name != "interconnection":
         rows.append(("method", f"{method.name}: {_verdict(method)}"))
         rows += [("", line) for line in _formulas(method)]
-        rows.append(("", "the controller contains the model: errors of its parameters displace it"))
+        rows += [("", f"instead of {other.name}: {other.because}") for other in found.passed]
+        rows += [("", line) for line in _model_errors(findings)]
     rows += [
         ("not held", f"{refusal.name}: {refusal.reason}{'' if refusal.proved else ' (no proof)'}")
         for refusal in found.refusals
     ]
     return rows
+
+
+def _model_errors(findings: Findings) -> list[str]:
+    """That the controller contains the model, and what wrong parameters do."""
+    errors = findings.parameter_errors
+    head = "the controller contains the model: errors of its parameters displace it"
+    lines = parameter_lines(errors, findings.system)
+    if errors and findings.performance is None:  # which shows them too
+        return [f"{head}; where it rests with one of them wrong, every mode decays:", *lines]
+    named = errors or findings.design is None
+    return [head if named else f"{head}; where the model file has them in `params`, by how much"]
 
 
 def _verdict(method: Method) -> str:
