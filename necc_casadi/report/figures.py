@@ -201,7 +201,7 @@ def region_figure(
     window, edge = _window(design, level, _telling_sides(design, reach))
     low, high = edge.min(axis=0), edge.max(axis=0)
     goes_on = (low < window.lo).any() or (high > window.hi).any()
-    figure = panels(1, 1, (5.45, 4.1 + (_LINE if goes_on else 0.0)), legend=0.85)
+    figure = panels(1, 1, (5.45, 4.1), legend=0.85, above=_LINE if goes_on else 0.0)
     axis = figure.add_subplot()
     draw_region(axis, design, level, responses, reach, obstacle)
     figure.legend(loc="lower center", ncols=2, fontsize=8)
