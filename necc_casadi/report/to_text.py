@@ -72,6 +72,10 @@ _OPTIONAL_CLAIMS = ("global", "input_limits", "clipping", "momenta")
 _MANY = 12
 
 
+#: Exact numbers with more letters than this are shown as decimals.
+_LONG_NUMBER = 24
+
+
 #: Coordinates of z̄ smaller than this share of their size are shown as 0.
 _NOTHING = 1e-20
 
@@ -298,8 +302,14 @@ def _compared_rows(performance: Performance, plant: System) -> list[tuple[str, s
 
 def target_text(found: Findings) -> str:
     """The target on one line, without units."""
-    plain = [f"{s} = {sp.sstr(found.x_star[s])}" for s in found.system.x[:_MANY]]
+    plain = [f"{s} = {_short(found.x_star[s])}" for s in found.system.x[:_MANY]]
     return ", ".join(plain) + (", …" if found.system.n > _MANY else "")
+
+
+def _short(value: sp.Expr) -> str:
+    """A number exactly, unless that is as long as a float's ratio."""
+    exactly = str(sp.sstr(value))
+    return exactly if len(exactly) <= _LONG_NUMBER else f"{to_float(value):.6g}"
 
 
 def _target(found: Findings) -> str:
@@ -310,8 +320,9 @@ def _target(found: Findings) -> str:
         if many and value == 0:
             continue
         unit = found.system.units.get(str(symbol), "")
-        decimal = "" if value.is_Integer else f" = {to_float(value):.6g}"
-        parts.append(_tied(f"{symbol} = {sp.sstr(value)}{decimal} {unit}".rstrip()))
+        forms = [_short(value)] if value.is_Integer else [_short(value), f"{to_float(value):.6g}"]
+        shown = " = ".join(dict.fromkeys([str(symbol), *forms]))
+        parts.append(_tied(f"{shown} {unit}".rstrip()))
     if many:
         return f"{', '.join(parts[:_MANY])}{', …' if len(parts) > _MANY else ''}; zeros not listed"
     return ", ".join(parts)
