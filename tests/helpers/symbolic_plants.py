@@ -31,7 +31,7 @@ def load(name, **options):
     controller = default_controller(plant)
     if "xi" in model and not options.get("integrators"):
         controller = make_controller(plant, *(model[key] for key in ("xi", "Jc", "Rc", "Gc")))
-    target = {s: sp.sympify(v) for s, v in model.get("target", {}).items()}
+    target = {s: sp.sympify(v).subs(values) for s, v in model.get("target", {}).items()}
     return plant, interconnect(plant, controller), target
 
 

@@ -232,7 +232,7 @@ def test_a_call_is_quiet(capsys):
 def test_a_target_from_a_float_is_shown_as_a_decimal():
     result = run(PENDULUM, [1.3962634015954636, 0], check=True)
     assert "q = 1.39626" in repr(result)
-    assert "q = 1.39626 rad," in result.summary()
+    assert "q ≈ 1.39626 rad," in result.summary()
     assert "q = pi/4 = 0.785398 rad," in run(PENDULUM, "pi/4", check=True).summary()
 
 

@@ -43,7 +43,15 @@ VERDICTS = {
 #: Those that take more than a few seconds.
 LONG = {"satellite", "overhead_crane"}
 #: Plants with inputs in J, sources, or no energy: the published loop is not defined for them.
-OF_OTHER_METHODS = {"boost", "buck_boost", "cuk", "pmsm", "cstr", "turbine_generator"}
+OF_OTHER_METHODS = {
+    "boost",
+    "buck_boost",
+    "cuk",
+    "pmsm",
+    "cstr",
+    "turbine_generator",
+    "induction_motor",
+}
 
 
 @pytest.mark.parametrize(

@@ -88,15 +88,12 @@ static necc_real product(const necc_real *a, const necc_real *b)
     return sum;
 }
 
-/* Damped Newton method with Armijo's rule: at most 50 steps with 30 halvings each. */
-int necc_init_at(necc_state *state, const necc_real x0[NECC_NX])
+/* From xi to a minimum of V(x0, .): damped Newton method with Armijo's rule, at most 50 steps with
+ * 30 halvings each. */
+static int least_over_xi(const necc_real x0[NECC_NX], necc_real xi[NECC_NXI])
 {
-    necc_real *xi, g[NECC_NXI], step[NECC_NXI], trial[NECC_NXI], unused[NECC_NXI];
+    necc_real g[NECC_NXI], step[NECC_NXI], trial[NECC_NXI], unused[NECC_NXI];
     int i, iteration, halvings;
-    necc_init(state);
-    xi = state->xi;
-    if (!all_finite(x0, NECC_NX))
-        return NECC_REJECTED;
     for (iteration = 0; iteration < 50; ++iteration) {
         const necc_real value = energy(x0, xi, g);
         const int convex = descent_step(x0, xi, g, step);
@@ -117,4 +114,10 @@ int necc_init_at(necc_state *state, const necc_real x0[NECC_NX])
             return convex ? NECC_OK : NECC_NOT_CONVERGED;
     }
     return NECC_NOT_CONVERGED;
+}
+
+int necc_init_at(necc_state *state, const necc_real x0[NECC_NX])
+{
+    necc_init(state);
+    return all_finite(x0, NECC_NX) ? least_over_xi(x0, state->xi) : NECC_REJECTED;
 }

@@ -29,6 +29,25 @@ static void check(int holds, const char *what)
     }
 }
 
+/* necc_output, then necc_update, and the next necc_output: to the bit what necc_step left. */
+static void check_halves(const necc_vector *v, const necc_state *stepped)
+{
+    necc_real u[NECC_NU];
+    necc_state state;
+    int i, flags;
+    necc_init(&state);
+    for (i = 0; i < NECC_NXI; ++i) {
+        state.xi[i] = v->xi[i];
+    }
+    flags = necc_output(&state, v->x, u);
+    check(flags == v->flags, "flags of necc_output");
+    compare(u, v->input, v->u_scale, NECC_NU);
+    check(necc_update(&state, v->dt) == NECC_OK, "necc_update");
+    for (i = 0; i < NECC_NXI; ++i) {
+        check(!(state.xi[i] < stepped->xi[i] || state.xi[i] > stepped->xi[i]), "halves of a step");
+    }
+}
+
 static void check_vector(const necc_vector *v)
 {
     necc_real u[NECC_NU], xidot[NECC_NXI];
@@ -46,6 +65,7 @@ static void check_vector(const necc_vector *v)
         check(!(state.xi[i] < v->xi[i] || state.xi[i] > v->xi[i]), "xi kept by the first sample");
     check(!(necc_step(&state, necc_vectors[0].x, u, v->dt) & NECC_REJECTED), "next sample");
     compare(state.xi, v->next, v->next_scale, NECC_NXI);
+    check_halves(v, &state);
 }
 
 static void check_rejection(necc_real bad)
