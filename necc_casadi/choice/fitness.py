@@ -9,7 +9,6 @@ import numpy as np
 from necc_casadi.choice.choose import Choice
 from necc_casadi.choice.judged import Judged
 from necc_casadi.designs.design import Design
-from necc_casadi.model.sizes import input_names
 from necc_casadi.performance.saturated import Elsewhere
 from necc_casadi.performance.shares import holds
 
@@ -97,7 +96,7 @@ def _beyond_limits(kept: Judged) -> str:
     parts = [
         f"|{name}| up to {peak:.3g}, limits {float(lo):.4g} … {float(hi):.4g}"
         for name, peak, (lo, hi), over in zip(
-            input_names(plant.m), response.peak_u.max(axis=0), limits, worst, strict=True
+            plant.input_names, response.peak_u.max(axis=0), limits, worst, strict=True
         )
         if over
     ]

@@ -11,6 +11,7 @@ from necc_casadi.choice.choose import Choice, choose
 from necc_casadi.choice.fitness import response_faults
 from necc_casadi.choice.judged import Judged
 from necc_casadi.methods.method import Method
+from necc_casadi.model.family_loop import FamilyLoop
 from necc_casadi.synthesis.options import Options
 
 __all__ = ["best_structure"]
@@ -25,6 +26,7 @@ def best_structure(
     x_star: Mapping[sp.Symbol, sp.Expr],
     options: Options,
     say: Callable[[str], None],
+    family: Callable[[Method], FamilyLoop | None] = lambda _: None,
 ) -> tuple[Choice, Method, dict[str, float]]:
     """What is kept, for which structure, and the seconds that all of them took by stage.
 
@@ -34,13 +36,16 @@ def best_structure(
         Structures that hold the target, at least one, in the order in which they are tried.
     x_star, options, say
         As of :func:`choose`.
+    family
+        The loop of a structure for other plants and set-points, where they are asked for.
     """
     made: list[tuple[Choice, Method]] = []
     seconds: dict[str, float] = {}
     for method in methods:
         if made and _is_good(made[0][0].kept):
             break
-        choice = choose(method.loop, method.casimirs, method.verdict, x_star, options, say)
+        at = (method.loop, method.casimirs, method.verdict, x_star)
+        choice = choose(*at, options, say, family(method))
         made.append((choice, method))
         for stage, time in choice.seconds.items():
             seconds[stage] = seconds.get(stage, 0.0) + time

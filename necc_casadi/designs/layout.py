@@ -91,6 +91,7 @@ def to_dict(design: Parts) -> dict[str, Any]:
         **_controller_text(design.loop, text),
         **_preliminary_text(plant, text),
         **({} if plant.inertia is None else {"inertia": text(plant.inertia)}),
+        **({"inputs": list(plant.inputs)} if plant.inputs else {}),
         "units": dict(plant.units),
         "domain": {name: text(bounds) for name, bounds in plant.domain.items()},
         "u_limits": plant.u_limits,
@@ -214,7 +215,9 @@ def check_whole(design: Parts, data: Mapping[str, Any]) -> None:
     r = len(design.casimirs.functions)
     if data["model_hash"] != _model_hash(data["model"]):
         raise ValueError("the model was edited: its hash differs")
-    shown = [plant.name, *design.loop.states, *plant.units.values()]
+    if len(plant.input_names) != m:
+        raise ValueError("each input needs a name")
+    shown = [plant.name, *design.loop.states, *plant.inputs, *plant.units.values()]
     if any(escaped(text) != text for text in shown):
         raise ValueError("a name or a unit holds characters that cannot be shown")
     shapes = {
@@ -311,6 +314,7 @@ def from_dict(data: Mapping[str, Any]) -> Parts:
         if model["u_limits"] is None
         else tuple((float(lo), float(hi)) for lo, hi in model["u_limits"]),
         sizes={name: read(size) for name, size in model.get("sizes", {}).items()},
+        inputs=tuple(model.get("inputs", ())),
         properties=properties[:split],
         preliminary=None
         if "preliminary" not in model

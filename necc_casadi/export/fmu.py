@@ -135,7 +135,9 @@ def _description(source: Source, guid: str, name: str) -> str:
     for file in _SOURCES:
         ET.SubElement(files, "File", name=file)
     measured = design.measurement
-    units = [escaped(measured.units.get(name, "")) for name in measured.names]
+    known = {**design.loop.plant.units, **measured.units}
+    names = (*measured.names, *design.loop.plant.input_names)
+    units = [escaped(known.get(name, "")) for name in names]
     definitions = dict.fromkeys(unit for unit in units if unit)
     if definitions:
         parent = ET.SubElement(root, "UnitDefinitions")
@@ -153,8 +155,7 @@ def _variables(root: ET.Element, source: Source, units: Sequence[str]) -> None:
     design, loop, at_target = source.design, source.design.loop, _at_target(source)
     margin = ["margin"] if has_margin(source) else []
     variables = ET.SubElement(root, "ModelVariables")
-    inputs = [f"u{i + 1}" for i in range(loop.plant.m)]
-    outputs = [*inputs, *loop.controller.states, *source.zeta_names, *margin]
+    outputs = [*source.input_columns, *loop.controller.states, *source.zeta_names, *margin]
     targets, told = _targets(source), _told(source)
     names = identifiers(
         [*design.measurement.names, *outputs, *targets, *told, "flags", *_switch(source),
@@ -173,7 +174,7 @@ def _variables(root: ET.Element, source: Source, units: Sequence[str]) -> None:
     starts = [*at_target, *[None] * len(outputs), *at_target[: len(targets)], *told.values()]
     kinds += [kept] * len(told)
     for i, (name, words, start) in enumerate(zip(reals, kinds, starts, strict=True)):
-        unit = {"unit": text} if i < loop.plant.n and (text := units[i]) else {}
+        unit = {"unit": text} if i < len(units) and (text := units[i]) else {}
         value = {} if start is None else {"start": repr(float(start))}
         add(name, i, "Real", value | unit, **words)
     add(

@@ -156,10 +156,9 @@ def _measured(source: Source) -> str:
 
 def _order(source: Source) -> str:
     loop = source.design.loop
-    inputs = [f"input {i + 1}" for i in range(source.m)]
     measured = source.design.measurement
     known = {**loop.plant.units, **measured.units}
-    arrays = {"x": measured.names, "xi": loop.controller.states, "u": inputs}
+    arrays = {"x": measured.names, "xi": loop.controller.states, "u": loop.plant.input_names}
     return "\n".join(
         f" *   {array}[{i}]  {comment(name)}{_unit(known.get(name))}"
         for array, names in arrays.items()

@@ -48,9 +48,20 @@ def readme(source: Source, *, measured: bool = True) -> str:
         sample_literal=source.number.literal(source.step_time),
         real=source.real,
         float_note=float_note,
+        order="; ".join(f"`{array}` = ({', '.join(of)})" for array, of in _order(source).items()),
         measured=_table(rows, compiler) if rows else "Not measured: no C compiler was at hand.",
     )
     return source.named(text)
+
+
+def _order(source: Source) -> dict[str, list[str]]:
+    """What stands in x and u, with units."""
+    plant, measured = source.design.loop.plant, source.design.measurement
+    units = {**plant.units, **measured.units}
+    return {
+        array: [escaped(f"{name} [{units[name]}]" if name in units else name) for name in names]
+        for array, names in {"x": measured.names, "u": plant.input_names}.items()
+    }
 
 
 def measure(source: Source, compiler: str, flags: tuple[str, ...]) -> Measurement | None:

@@ -138,6 +138,11 @@ class Source:
         return [] if self.design.integral is None else [f"zeta{i + 1}" for i in range(self.m)]
 
     @property
+    def input_columns(self) -> list[str]:
+        """Names of the inputs in tables and units: u1 … um where they have none of their own."""
+        return list(self.design.loop.plant.inputs) or [f"u{i + 1}" for i in range(self.m)]
+
+    @property
     def neural_phi(self) -> bool:
         """Whether Φ is a network; else Φ = H + Hc + C and Φ₁ = Φ₂ = 1."""
         return self.design.form.phi is not None

@@ -147,4 +147,6 @@ def _with_energy(
         return None
     # g may vanish at points, as where a converter holds nothing: no proof asks for its rank
     proper = tuple(p for p in plant.properties if p.kind != "rank")
-    return replace(plant, preliminary=ahead, sizes=system.sizes, properties=proper)
+    return replace(
+        plant, preliminary=ahead, sizes=system.sizes, inputs=system.inputs, properties=proper
+    )

@@ -19,6 +19,7 @@ __all__ = [
     "damping",
     "damping_matrix",
     "disturbance",
+    "inputs",
     "limits",
     "parameters",
     "sides_of_states",
@@ -47,6 +48,27 @@ def limits(file: Reader) -> list[tuple[float, float]] | None:
             )
         result.append((lo, hi))
     return result
+
+
+def inputs(file: Reader, m: int, states: Sequence[str]) -> tuple[str, ...]:
+    """Names of the inputs, (m,); () where there are none."""
+    value = file.space.get("inputs")
+    if value is None:
+        return ()
+    names = value if isinstance(value, (tuple, list)) else (value,)
+    words = all(isinstance(name, str) and name.isidentifier() for name in names)
+    if not words or len(names) != m or len(set(names)) < m:
+        raise ModelError(
+            "model_file",
+            f"inputs = {value} is not a name for each of {m} input(s)",
+            'Write inputs = ("torque",): words of letters and digits, in order, each once.',
+        )
+    for name in names:
+        if name in {*states, *file.parameters}:
+            raise ModelError(
+                "name_clash", f"inputs names {name}, a state or a parameter", "Rename one of them."
+            )
+    return tuple(map(str, names))
 
 
 def sides_of_states(file: Reader, label: str, states: Sequence[str]) -> dict[str, Range]:

@@ -93,7 +93,7 @@ def proved(
 
 def _of_integral(design: Design, claim: Claim) -> Proved | None:
     sides = dict(claim.data.get("uncertain", {}))
-    pushes = disturbance_names(design.loop.plant.m)
+    pushes = disturbance_names(design.loop.plant)
     sides |= zip(pushes, claim.data.get("disturbance", []), strict=False)
     ranges = {k: (to_float(parse(a, {})), to_float(parse(b, {}))) for k, (a, b) in sides.items()}
     error = dict.fromkeys(design.loop.plant.states, (0.0, 0.0))

@@ -23,8 +23,7 @@ from necc_casadi.folders import whole_folder
 from necc_casadi.interrupts import uninterrupted
 from necc_casadi.methods.find import Found, find_method
 from necc_casadi.methods.method import Method
-from necc_casadi.model.build_family import family_loop
-from necc_casadi.model.family_loop import NoFamily
+from necc_casadi.model.family_loop import FamilyLoop, NoFamily
 from necc_casadi.model.lagrangian import Plants
 from necc_casadi.model.model_file import Model
 from necc_casadi.model.parametric import Parametric
@@ -40,6 +39,12 @@ from necc_casadi.pipeline.advice import (
     structure_offers,
 )
 from necc_casadi.pipeline.clock import Clock, Say
+from necc_casadi.pipeline.families import (
+    family_notes,
+    family_of,
+    refused_by_all,
+    with_family,
+)
 from necc_casadi.pipeline.ranges import with_ranges
 from necc_casadi.pipeline.request import (
     Request,
@@ -195,7 +200,8 @@ def _studied(request: Request, task: _Task, found: Findings, kept: _Kept, clock:
         notes=(
             *task.notes,
             *design_notes(made, task.options),
-            *(() if kept.because is None else (f"no family: {kept.because}",)),
+            *(() if kept.because is None else (f"family: {kept.because}",)),
+            *family_notes(made, task.model, kept.family),
             *region_notes(certificate, share, task.options),
             *response_notes(motion.responses, _PATIENCE),
             *(() if warning is None else (warning,)),
@@ -307,7 +313,7 @@ def _answered(task: _Task, options: Options, say: Say) -> Answer:
     return answered(method.loop, method.casimirs, method.verdict, task.x_star, options, report)
 
 
-def _chosen(task: _Task, clock: Clock) -> tuple[Choice, _Task]:
+def _chosen(request: Request, task: _Task, clock: Clock) -> tuple[Choice, _Task]:
     """Train, damp and prove what the options leave to choose from, and keep one.
 
     The task that comes back names the structure that is kept.
@@ -315,7 +321,13 @@ def _chosen(task: _Task, clock: Clock) -> tuple[Choice, _Task]:
     from necc_casadi.choice.structures import best_structure
 
     methods = (task.method, *task.found.alternatives)
-    choice, method, seconds = best_structure(methods, task.x_star, task.options, clock.say)
+
+    def family(method: Method) -> FamilyLoop | None:
+        if request.integral is not False:
+            return None
+        return family_of(task.model, method, task.x_star, task.options)
+
+    choice, method, seconds = best_structure(methods, task.x_star, task.options, clock.say, family)
     clock.timings.update(seconds)
     return choice, replace(task, found=replace(task.found, chosen=method))
 
@@ -333,52 +345,23 @@ class _Kept:
 
 def _kept(request: Request, task: _Task, clock: Clock) -> tuple[_Kept, _Task]:
     """The choice, with integral action on top and the sampled loop proved where asked for."""
-    choice, task = _chosen(task, clock)
+    choice, task = _chosen(request, task, clock)
     made, certificate = _with_plants(request, task, choice, clock)
     family, because = None, None
     if task.model.ranges and request.integral is False:
         with clock.stage("family", "proving the family"):
-            certificate, family, because = _with_family(made, certificate, task.model)
+            certificate, family, because = with_family(made, certificate, task.model)
     certificate = _with_sampled_loop(request, made, certificate, clock)
     return _Kept(made, certificate, choice, family, because), task
 
 
 def _no_family(request: Request, task: _Task) -> NoFamily | None:
     """Why no loop that may be taken holds the target for all of the ranges, proved."""
-    ranges, first = task.model.ranges, task.found.chosen
-    if not ranges or first is None or request.integral is not False:
+    first = task.found.chosen
+    if first is None or request.integral is not False:
         return None
-    star = tuple(task.x_star[s] for s in task.model.system.x)
-    found: NoFamily | None = None
-    for method in (first, *task.found.alternatives):
-        functions, sums = method.casimirs.functions, task.options.phi == "sum"
-        lifted = family_loop(
-            method.loop, functions, star, ranges, task.model.parametric, phi_is_sum=sums
-        )
-        if not (isinstance(lifted, NoFamily) and lifted.reason == "refused"):
-            return None
-        found = found or lifted
-    return found
-
-
-def _with_family(
-    made: Design, certificate: Certificate, model: Model
-) -> tuple[Certificate, Family | None, str | None]:
-    """The certificate with what is proved of the family, the family, and what is missing."""
-    from necc_casadi.certificate.claims.claim import Claim
-    from necc_casadi.certificate.claims.statements import NO_FAMILY
-    from necc_casadi.certificate.prover.family import prove_family
-    from necc_casadi.designs.family import lift
-
-    lifted, because = lift(made, model.ranges, model.parametric), None
-    if isinstance(lifted, NoFamily):
-        claim, because = Claim("family", False, NO_FAMILY[lifted.reason]), lifted.sentence
-    else:
-        claim = prove_family(lifted)
-        if not claim.holds:
-            claim, because = Claim("family", False, NO_FAMILY["open"]), claim.statement
-    family = None if isinstance(lifted, NoFamily) else lifted
-    return replace(certificate, claims=(*certificate.claims, claim)), family, because
+    methods = (first, *task.found.alternatives)
+    return refused_by_all(task.model, methods, task.x_star, task.options)
 
 
 def _with_plants(
@@ -420,14 +403,17 @@ def _with_sampled_loop(
 def _with_setpoints(
     made: Design, certificate: Certificate, setpoints: Mapping[str, Range], told: Plants | None
 ) -> tuple[Design, Certificate]:
-    """The design with set-points that move and parameters that are told.
+    """The design with set-points that move and parameters that are told, where its code can.
 
     What else is proved of it stays as it is.
     """
+    from necc_casadi.certificate.claims.statements import SETPOINTS_ARE_NOT_COVERED
     from necc_casadi.certificate.prover.setpoints import prove_setpoints
 
     moving = replace(made, setpoints=setpoints, told=told)
     claim = prove_setpoints(moving)
+    if claim is not None and claim.statement == SETPOINTS_ARE_NOT_COVERED:
+        return made, certificate
     claims = certificate.claims if claim is None else (*certificate.claims, claim)
     return moving, replace(certificate, design_hash=moving.hash, claims=claims)
 

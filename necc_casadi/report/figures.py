@@ -14,7 +14,6 @@ from matplotlib.path import Path as Curve
 from necc_casadi.arrays import Vector
 from necc_casadi.certificate.claims.regions import Obstacle, Side
 from necc_casadi.designs.design import Design
-from necc_casadi.model.sizes import input_names
 from necc_casadi.report.contours import contour_levels, number_contours, without_poles
 from necc_casadi.report.slices import Window, domain_window, shadow, slice_boundary, slice_values
 from necc_casadi.report.style import Drawing
@@ -306,14 +305,14 @@ def responses_figure(design: Design, trajectories: Sequence[Trajectory]) -> Figu
 def shown_over_time(design: Design, trajectories: Sequence[Trajectory]) -> list[str]:
     """What a figure of responses has panels for: states, inputs and V, by name."""
     states = [design.loop.states[k] for k in _telling_states(design, trajectories)]
-    return [*states, *input_names(design.loop.plant.m)[:_MOST_PANELS], "V"]
+    return [*states, *design.loop.plant.input_names[:_MOST_PANELS], "V"]
 
 
 def draw_over_time(
     axis: Axes, design: Design, trajectories: Sequence[Trajectory], name: str
 ) -> None:
     """A state, an input, or V − V(z̄) as ``V``, along responses on any axes."""
-    states, inputs = design.loop.states, input_names(design.loop.plant.m)
+    states, inputs = design.loop.states, design.loop.plant.input_names
     n = design.loop.plant.n
     curves = [(response.t, _over_time(design, response, name)) for response in trajectories]
     for response, (t, values) in zip(trajectories, curves, strict=True):
@@ -362,7 +361,7 @@ def _telling_states(design: Design, trajectories: Sequence[Trajectory]) -> list[
 
 
 def _over_time(design: Design, response: Trajectory, name: str) -> Vector:
-    states, inputs = design.loop.states, input_names(design.loop.plant.m)
+    states, inputs = design.loop.states, design.loop.plant.input_names
     if name in states:
         return response.z[:, states.index(name)]
     if name in inputs:
@@ -372,7 +371,7 @@ def _over_time(design: Design, response: Trajectory, name: str) -> Vector:
 
 def named_input(design: Design, index: int) -> tuple[str, str]:
     """Name and unit of an input."""
-    name = input_names(design.loop.plant.m)[index]
+    name = design.loop.plant.input_names[index]
     return name, design.loop.plant.units.get(name, "")
 
 

@@ -30,7 +30,7 @@ if TYPE_CHECKING:  # a verdict alone needs none of these
     from necc_casadi.simulation.responses import Trajectory
     from necc_casadi.synthesis.asked import Asked
 
-__all__ = ["Findings", "attracts", "family_claim", "global_claim", "region_claim"]
+__all__ = ["Findings", "attracts", "global_claim", "held_claim", "region_claim"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,9 +144,10 @@ def global_claim(certificate: Certificate) -> Claim | None:
     return _named(certificate, "global")
 
 
-def family_claim(certificate: Certificate | None) -> Claim | None:
-    """The claim about the family."""
-    return None if certificate is None else _named(certificate, "family")
+def held_claim(certificate: Certificate | None, name: str) -> Claim | None:
+    """A claim that is proved; None without it."""
+    claim = None if certificate is None else _named(certificate, name)
+    return claim if claim is not None and claim.holds else None
 
 
 def _named(certificate: Certificate, name: str) -> Claim | None:

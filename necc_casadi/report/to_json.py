@@ -13,7 +13,7 @@ from necc_casadi.methods.method import Method
 from necc_casadi.model.family_loop import Kind
 from necc_casadi.model.shaped_loop import ShapedLoop
 from necc_casadi.report.asked import asked_text
-from necc_casadi.report.findings import Findings, family_claim
+from necc_casadi.report.findings import Findings, held_claim
 from necc_casadi.symbolic.expressions import to_text
 from necc_casadi.symbolic.floats import to_float, to_floats
 from necc_casadi.verdict.verdict import Verdict
@@ -113,10 +113,10 @@ def _family(found: Findings) -> dict[str, Any] | None:
     family = found.family
     if family is None:
         return None
-    from necc_casadi.certificate.claims.family import off_target
+    from necc_casadi.certificate.claims.family import off_target, proved_share
 
-    claim = family_claim(found.certificate)
-    data = claim.data if claim is not None and claim.holds else None
+    claim, everywhere = (held_claim(found.certificate, name) for name in ("family", "everywhere"))
+    data = None if claim is None else claim.data
 
     def ranges(kind: Kind) -> dict[str, list[float]]:
         return {p.name: [to_float(v) for v in p.range] for p in family.moved.of(kind)}
@@ -130,7 +130,9 @@ def _family(found: Findings) -> dict[str, Any] | None:
         else not off_target(data["error"], family.state_units),
         "error": None if data is None else {k: list(v) for k, v in data["error"].items()},
         "boxes": None if data is None else len(data["boxes"]),
-        "proved_share": 0.0 if data is None else 1.0,
+        "proved_share": 0.0 if data is None else proved_share(data),
+        "left": None if data is None else [[list(v) for v in box] for box in data["left"]],
+        "global": None if everywhere is None else everywhere.data["follows"],
     }
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import PurePosixPath
 from typing import TYPE_CHECKING
 
@@ -15,7 +15,7 @@ from necc_casadi.casimirs.casimirs import Casimirs
 from necc_casadi.model.modulated import System
 from necc_casadi.report.asked import asked_text, missed
 from necc_casadi.report.compared import comparison, error_lines
-from necc_casadi.report.findings import Findings, attracts, family_claim, global_claim, region_claim
+from necc_casadi.report.findings import Findings, attracts, global_claim, held_claim, region_claim
 from necc_casadi.report.methods import method_rows
 from necc_casadi.symbolic.expressions import to_text
 from necc_casadi.symbolic.floats import to_float
@@ -65,7 +65,7 @@ _BEGINS = {
 
 
 #: Claims that no exit code rests on.
-_OPTIONAL_CLAIMS = ("global", "input_limits", "clipping", "momenta")
+_OPTIONAL_CLAIMS = ("global", "everywhere", "input_limits", "clipping", "momenta")
 
 
 #: Lists of more states than this are shortened in the text, never in the JSON.
@@ -183,19 +183,37 @@ def brief(found: Findings) -> list[tuple[str, str]]:
 
 def family_rows(found: Findings) -> list[tuple[str, str]]:
     """How far from the set-point every member of the family rests; none without a proof."""
-    claim = family_claim(found.certificate)
-    if found.family is None or claim is None or not claim.holds:
+    if found.family is None:
         return []
-    from necc_casadi.certificate.claims.family import off_target, outward
+    from necc_casadi.certificate.claims.family import proved_share
 
     names = ", ".join(p.name for p in found.family.parameters)
-    moving = off_target(claim.data["error"], found.family.state_units)
+    everywhere, near = (held_claim(found.certificate, name) for name in ("everywhere", "family"))
+    rows = []
+    if near is not None:
+        share = proved_share(near.data)
+        part = "" if share == 1 else f", proved on {100 * share:.3g} % of the ranges"
+        rows.append(f"{names}: {_at_rest(found, near.data['error'])}{part}")
+    elif everywhere is not None:
+        sides = {name: (-most, most) for name, most in everywhere.data["error"].items()}
+        rows.append(f"{names}: {_at_rest(found, sides)}")
+    if everywhere is not None and attracts(everywhere):
+        rows.append(f"{names}: from everywhere every solution converges to its place at rest")
+    return [("family", row) for row in rows]
+
+
+def _at_rest(found: Findings, error: Mapping[str, Sequence[float]]) -> str:
+    """The errors of the plant's states, outward."""
+    from necc_casadi.certificate.claims.family import off_target, outward
+
+    sides = {name: (lo, hi) for name, (lo, hi) in error.items()}
+    natural = {} if found.family is None else found.family.state_units
+    moving, units = off_target(sides, natural), found.system.units
     if not moving:
-        return [("family", f"{names}: no error at rest but rounding")]
-    units, error = found.system.units, claim.data["error"]
-    shown = {k: " … ".join(outward(error[k])) for k in moving}
-    sides = ", ".join(f"{k} {side} {units.get(k, '')}".rstrip() for k, side in shown.items())
-    return [("family", f"{names}: error at rest {sides}")]
+        return "no error at rest but rounding"
+    shown = {name: " … ".join(outward(sides[name])) for name in moving}
+    parts = [f"{name} {side} {units.get(name, '')}".rstrip() for name, side in shown.items()]
+    return f"error at rest {', '.join(parts)}"
 
 
 def plants_rows(found: Findings) -> list[tuple[str, str]]:

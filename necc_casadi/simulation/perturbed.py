@@ -17,7 +17,7 @@ from necc_casadi.designs.design import Design
 from necc_casadi.interrupts import interruptible
 from necc_casadi.lyapunov.sympy2casadi import casadi_function
 from necc_casadi.model.parametric import Parametric
-from necc_casadi.model.sizes import input_names
+from necc_casadi.model.plant import Plant
 from necc_casadi.simulation.responses import SETTLED, default_horizon
 from necc_casadi.symbolic.derivatives import gradient
 from necc_casadi.symbolic.floats import to_float
@@ -55,9 +55,9 @@ class Outcome:
         return float(np.isfinite(self.settling_times).mean())
 
 
-def disturbance_names(m: int) -> list[str]:
-    """Names of constant disturbances of m inputs."""
-    return [f"d_{name}" for name in input_names(m)]
+def disturbance_names(plant: Plant) -> list[str]:
+    """Names of constant disturbances of the inputs."""
+    return [f"d_{name}" for name in plant.input_names]
 
 
 class OtherPlants:
@@ -66,7 +66,7 @@ class OtherPlants:
     def __init__(self, design: Design, plant: Parametric) -> None:
         self.design, natural = design, design.natural
         own = [str(symbol) for symbol in plant.symbols]
-        pushes = disturbance_names(design.loop.plant.m)
+        pushes = disturbance_names(design.loop.plant)
         self.names = [*own, *(name for name in pushes if name not in own)]
         values = [to_float(plant.values[name]) for name in own]
         self.nominal = np.array([*values, *[0.0] * (len(self.names) - len(own))])
@@ -95,8 +95,8 @@ class OtherPlants:
             low, high = np.array(self._natural.loop.plant.u_limits, float).T
             u = ca.fmin(ca.fmax(asked, ca.DM(low)), ca.DM(high))
         state = ca.DM(units.state[:n])
-        at = ca.vertcat(z[:n] * state, theta[:count])
-        pushed = theta[count:] if self._pushed else 0
+        at = ca.vertcat(z[:n] * state, theta[:count, 0])
+        pushed = theta[count:, 0] if self._pushed else 0
         x_dot = structure(at) @ slopes(at) + ports(at) @ (u * ca.DM(units.input) + pushed)
         slope = ca.vertcat(x_dot * units.time / state, s_dot)
         return ca.Function("other", [z, theta], [slope, u], ["z", "theta"], ["z_dot", "u"])

@@ -125,9 +125,10 @@ class Trajectory:
         """Whether the law asked for more than the limits of the model."""
         return self.demand is not None and bool(np.any(np.abs(self.demand - self.u) > 0))
 
-    def csv(self, names: Sequence[str]) -> str:
-        """The response as CSV with a header: t, what is measured, ξ, inputs, V."""
-        header = ["t", *names, *[f"u{i + 1}" for i in range(self.u.shape[1])], "V"]
+    def csv(self, names: Sequence[str], inputs: Sequence[str] = ()) -> str:
+        """The response as CSV with a header: t, what is measured, ξ, inputs (u1 … um), V."""
+        inputs = inputs or [f"u{i + 1}" for i in range(self.u.shape[1])]
+        header = ["t", *names, *inputs, "V"]
         rows = np.column_stack([self.t, self.shown, self.u, self.V])
         lines = [",".join(header), *[",".join(map(repr, map(float, row))) for row in rows]]
         return "\n".join(lines) + "\n"

@@ -107,7 +107,7 @@ def subject(folder: Path, vary: str | None) -> Subject:
     """
     made = Design.load(folder)
     found = _proved(folder, made)
-    pushes = disturbance_names(made.loop.plant.m)
+    pushes = disturbance_names(made.loop.plant)
     named = _names(vary) if vary is not None else list(found.ranges if found is not None else ())
     if not named:
         raise OptionError(

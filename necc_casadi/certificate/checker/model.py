@@ -70,6 +70,8 @@ class StoredDesign:
         )
         self.G = self._matrix(model["G"], x, lambda i, j: T * U[j] / plant[i])
         self.m = self.G.cols
+        words = ["u"] if self.m == 1 else [f"u{j + 1}" for j in range(self.m)]
+        self.inputs: list[str] = model.get("inputs", words)
         self.inertia: sp.Matrix | None = None
         if "inertia" in model:
             k = self.n // 2

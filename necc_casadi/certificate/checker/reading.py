@@ -177,9 +177,12 @@ def _check_names(model: Mapping[str, Any], casimirs: int, inputs: int) -> None:
     symbols = _texts(model["symbols"])
     if not len(names) == len(symbols) == len(set(names)) == len(set(symbols)):
         raise ValueError("each state needs a name and a symbol of its own")
+    own = _texts(model.get("inputs", []))
+    if len(own) not in (0, inputs) or len({*names, *own}) != len(names) + len(own):
+        raise ValueError("each input needs a name of its own")
     if max(len(names), inputs, casimirs) > _MOST_STATES:
         raise ValueError(f"more than {_MOST_STATES} states, inputs or Casimirs")
-    if any(escaped(name) != name or len(name) > _LONGEST_NAME for name in (*names, *symbols)):
+    if any(escaped(name) != name or len(name) > _LONGEST_NAME for name in (*names, *own, *symbols)):
         raise ValueError("a name that is too long or holds characters that cannot be shown")
 
 

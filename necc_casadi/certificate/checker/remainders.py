@@ -16,7 +16,9 @@ from necc_casadi.certificate.checker.arithmetic.balls import (
     by_bisection,
     ends,
     evaluate,
+    meet,
     times,
+    widths,
 )
 from necc_casadi.certificate.checker.arithmetic.definite import norm, positive
 from necc_casadi.certificate.checker.arithmetic.networks import Net
@@ -269,7 +271,8 @@ class StoredRemainders(ABC):
             for i, side in enumerate(box[: 2 * self.k])
             for end in side
         )
-        return all(by_bisection(face, self._is_high, _DEPTH) for face in faces)
+        sizes = widths(box)
+        return all(by_bisection(face, self._is_high, _DEPTH, sizes=sizes) for face in faces)
 
     def falls_in(self, box: Box) -> bool:
         """E > c, or what has to hold below it, on cells that cover the box."""
@@ -277,7 +280,7 @@ class StoredRemainders(ABC):
         def settled(cell: Box) -> bool:
             return self._is_high(cell) or any(self.is_positive(cell, n) for n in _STRETCHES)
 
-        return by_bisection(box, settled, _DEPTH)
+        return by_bisection(box, settled, _DEPTH, sizes=widths(box))
 
     def has_mass(self, box: Box) -> bool:
         """M ≻ 0 on the whole box: where it is not, E > c says nothing of the whole energy."""
@@ -289,7 +292,7 @@ class StoredRemainders(ABC):
             return positive(self.inertia(here | self.known(cell)), 0.0)
 
         counts = [i < k or i >= 2 * k for i in range(len(box))]  # M does not depend on ξ
-        return by_bisection(box, positive_there, _DEPTH, counts)
+        return by_bisection(box, positive_there, _DEPTH, counts, widths(box))
 
     def _is_high(self, box: Box) -> bool:
         return bool(self._energy(box) > self.level)
@@ -318,11 +321,21 @@ class StoredRemainders(ABC):
         h_value, dh, _ = self.hc(_box(xi))
         there = dict(zip(self.q, q, strict=True)) | known
         more, steeper = self.added(there, known, e)
-        value = more + evaluate(self.U, there) - U0 + k_value + h_value - level
+        of_U = evaluate(self.U, there) - U0
+        for i in range(k):
+            of_U = of_U - grad0[i] * e[i]
+        way = {s: v.union(q[i]) for i, (s, v) in enumerate(rest_q.items())} | known
+        pulls = [
+            sum((times(evaluate(v, way), d) for v, d in zip(row, e, strict=True)), arb(0))
+            for row in self.hess_U
+        ]  # by ∇²U along the way from rest, which loses nothing where U is quadratic
+        of_U = meet(of_U, sum((times(p, d) for p, d in zip(pulls, e, strict=True)), arb(0)) / 2)
+        value = more + of_U + k_value + h_value - level
         slopes = []
         for i in range(k):
-            value = value - (grad0[i] + along[i]) * e[i]
-            own = evaluate(self.grad_U[i], there) - grad0[i] - along[i] + steeper[i]
+            value = value - along[i] * e[i]
+            own = meet(evaluate(self.grad_U[i], there) - grad0[i], pulls[i])
+            own = own - along[i] + steeper[i]
             slopes.append(own + sum((self.slopes[j, i] * dk[j] for j in range(k)), arb(0)))
         for i in range(k):
             pull = sum((self.slopes[j, k + i] * dk[j] for j in range(k)), arb(0))

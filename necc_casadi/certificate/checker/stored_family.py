@@ -6,14 +6,16 @@ unknown parameters at x̂ + x*(r) − x*(r₀), with the feed-forward and the di
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Mapping, Sequence
-from typing import Any
+from functools import cached_property
+from typing import Any, cast
 
 import sympy as sp
-from flint import arb
 
-from necc_casadi.certificate.checker.arithmetic.balls import evaluate
+from necc_casadi.certificate.checker.arithmetic.balls import Box, ends, evaluate
 from necc_casadi.certificate.checker.evidence import Obligation
+from necc_casadi.certificate.checker.loops import StoredInterconnection
 from necc_casadi.certificate.checker.model import StoredDesign
 from necc_casadi.certificate.checker.plants import StoredPlants
 from necc_casadi.certificate.checker.units import rationals
@@ -104,10 +106,38 @@ class StoredFamily:
         """ϑ."""
         return [p.symbol for p in self.parameters]
 
+    @cached_property
+    def box(self) -> Box:
+        """The ranges, in doubles around their ends.
+
+        Raises
+        ------
+        ValueError
+            When one is empty.
+        """
+        sides = tuple((ends(evaluate(p.lo, {}))[0], ends(evaluate(p.hi, {}))[1])
+                      for p in self.parameters)  # fmt: skip
+        if not all(lo <= hi for lo, hi in sides):
+            raise ValueError("a range without numbers")
+        return sides
+
     @property
-    def exact(self) -> list[tuple[arb, arb]]:
-        """The ranges, as balls around their ends."""
-        return [(evaluate(p.lo, {}), evaluate(p.hi, {})) for p in self.parameters]
+    def sides(self) -> dict[str, Side]:
+        """The ranges by name, for words."""
+        return {p.name: p.side for p in self.parameters}
+
+    @property
+    def has_unknown(self) -> bool:
+        """Whether some parameters are not known."""
+        return any(p.kind == "uncertain" for p in self.parameters)
+
+    def as_design(self) -> StoredDesign:
+        """The design with ϑ as symbols in its plant."""
+        member, inner = copy.copy(self.model), cast(StoredInterconnection, self.model.loop)
+        loop = StoredInterconnection(self.J, self.R, self.G, inner.Jc, inner.Rc, inner.Gc)
+        member.H, member.J, member.R, member.G, member.loop = self.H, self.J, self.R, self.G, loop
+        member.Jcl, member.Rcl, member.ports = loop.Jcl, loop.Rcl, loop.ports
+        return member
 
     def obligations(self) -> list[Obligation]:
         """What makes this the family of the design, and V fall for all of it."""
@@ -140,7 +170,7 @@ class StoredFamily:
         }
         moved = [p for p in self.parameters if p.kind == "setpoint"]
         pushed = [p for p in self.parameters if p.kind == "disturbance"]
-        inputs = [f"d_{name}" for name in _inputs(model.m)]
+        inputs = [f"d_{name}" for name in model.inputs]
         return (
             len(set(names)) == len(names)
             and all(p.name in own and _vanish([own[p.name] - p.symbol]) for p in moved)
@@ -243,11 +273,6 @@ class StoredFamily:
         slopes = sp.Matrix([[sp.diff(c, v) for v in self._x] for c in self.model.casimirs])
         used = (slopes * self.G).applyfunc(sp.simplify)
         return not used.free_symbols & unknown
-
-
-def _inputs(m: int) -> list[str]:
-    """Names of the inputs, as in `model/sizes.py`."""
-    return ["u"] if m == 1 else [f"u{i + 1}" for i in range(m)]
 
 
 def _vanish(entries: Sequence[sp.Expr]) -> bool:

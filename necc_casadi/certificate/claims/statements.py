@@ -41,6 +41,7 @@ __all__ = [
     "STRUCTURE",
     "TOO_MANY",
     "Missing",
+    "NotEverywhere",
     "NotSampled",
     "attraction",
     "casimir",
@@ -53,6 +54,7 @@ __all__ = [
     "momenta",
     "no_clipping",
     "no_limits",
+    "not_everywhere",
     "not_global",
     "ranges",
     "region",
@@ -178,6 +180,17 @@ Missing = Literal[
     "the inertia is not proved positive definite for every state",
     "V is not proved to be radially unbounded",
     "V is not proved to have no other critical point",
+]
+
+
+#: What may be missing for a claim about all states and all of a family.
+NotEverywhere = Literal[
+    "a condition of V falling is open for some of it",
+    "only Φ = H + Hc + C with C = K(c) is covered",
+    "J, R or G depend on the state",
+    "energy, structure and Casimirs are not proved to be smooth for all states",
+    "the inertia is not proved positive definite for every state",
+    "V is not proved to be convex for every parameter, the momenta at rest",
 ]
 
 
@@ -323,6 +336,11 @@ def not_global(missing: Missing) -> str:
     return f"no global claim: {missing}"
 
 
+def not_everywhere(missing: NotEverywhere) -> str:
+    """Where not all states are proved for all of a family."""
+    return f"no global claim of the family: {missing}"
+
+
 #: Of a family of which nothing is proved, by what became of it.
 NO_FAMILY: Mapping[str, str] = {
     "refused": "nothing is claimed of the family: what it rests on provably fails for some of it",
@@ -344,6 +362,7 @@ def unproved(limits: Sequence[Sequence[float]]) -> Mapping[str, frozenset[str]]:
         "momenta": frozenset([NO_MOMENTA]),
         "setpoints": frozenset([NO_SETPOINTS, SETPOINTS_ARE_NOT_COVERED]),
         "family": frozenset(NO_FAMILY.values()),
+        "everywhere": frozenset(map(not_everywhere, get_args(NotEverywhere))),
         "integral": frozenset([INTEGRAL_IS_NOT_COVERED, INTEGRAL_IS_TOO_SMALL, NO_INTEGRAL]),
         "sampled": frozenset(map(sampled_is_not_covered, get_args(NotSampled))),
     }

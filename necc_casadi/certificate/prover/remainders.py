@@ -161,7 +161,8 @@ class Remainders(Terms):
     def remainder(self) -> sp.Expr:
         """Ũ, of q and θ."""
         U, q, there = self.plant.U, self.plant.q, self.there
-        return sp.sympify(U - U.subs(there) - (gradient(U, q).subs(there).T * self.e)[0, 0])
+        rest = U - U.subs(there) - (gradient(U, q).subs(there).T * self.e)[0, 0]
+        return sp.sympify(sp.expand(rest))  # where U is a polynomial nothing is left to cancel
 
     @property
     def there(self) -> dict[sp.Symbol, sp.Rational]:
