@@ -76,7 +76,7 @@ _INTEGRAL = (
 
 
 #: Claims that no exit code rests on.
-_OPTIONAL_CLAIMS = ("global", "everywhere", "input_limits", "clipping", "momenta")
+_OPTIONAL_CLAIMS = ("global", "everywhere", "members", "input_limits", "clipping", "momenta")
 
 
 #: Lists of more states than this are shortened in the text, never in the JSON.
