@@ -174,7 +174,7 @@ def _casimir(source: Source) -> tuple[list[str], list[str]]:
     variables, body = [f"necc_real hc_value, casimir, c[{r}];"], ["casimirs(x, xi, c);"]
     if not source.design.form.betas:
         return variables, [*body, "casimir = k_network(c, s->gamma);"]
-    terms = " + ".join(f"beta{i + 1}_network(c + {i}, s->gamma + {i})" for i in range(r))
+    terms = " + ".join(f"beta{i + 1}_network(&c[{i}], &s->gamma[{i}])" for i in range(r))
     scale = [f"s->gamma[{i}] *= slope;" for i in range(r)]
     return (
         [*variables, "necc_real sum, slope;"],
