@@ -46,17 +46,6 @@ def test_no_warning_of_a_strict_compiler(tmp_path, real, compiler):
     assert done.returncode == 0, done.stderr
 
 
-@pytest.mark.parametrize("real", CASES)
-def test_every_external_name_begins_with_the_prefix(tmp_path, real):
-    code = exported(tmp_path, real)
-    target = str(tmp_path / "n.o")
-    subprocess.run([COMPILERS[0], "-std=c99", "-c", str(code), "-o", target], check=True)
-    nm = subprocess.run(["nm", "-g", "--defined-only", target], capture_output=True, text=True)
-    names = [line.split()[-1] for line in nm.stdout.splitlines()]
-    assert "necc_step" in names
-    assert all(name.startswith("necc_") for name in names)
-
-
 if shutil.which("cppcheck"):
 
     @pytest.mark.slow
