@@ -3,9 +3,13 @@
 import re
 import shutil
 import subprocess
+from dataclasses import replace
 
 import pytest
+import sympy as sp
+from helpers.certificates import of_small_level
 from helpers.export_cases import COMPILERS, STRICT, arm_loop, design, pendulum_loop
+from helpers.velocity import pendulum, pendulum_with_load
 
 from necc_casadi.export.c_project import export_c
 from necc_casadi.lyapunov.networks import MonotonePhi, Network
@@ -29,6 +33,11 @@ PEDANTIC = [
 
 
 def exported(folder, real):
+    if real == "moving":  # a set-point and a load that change at run time
+        told = pendulum_with_load(l=(sp.Rational(-1, 5), sp.Rational(1, 2)))
+        made = replace(pendulum(), setpoints={"q": (sp.Integer(-2), sp.Integer(2))}, told=told)
+        export_c(made, folder, real="float", certificate=of_small_level(made))
+        return folder / "necc.c"
     loop, form, integrator = CASES[real]
     made = design(loop, form)
     export_c(made, folder, real=real, integrator=integrator, sample_time=0.01, measured=False)
@@ -36,7 +45,7 @@ def exported(folder, real):
 
 
 @pytest.mark.parametrize("compiler", COMPILERS)
-@pytest.mark.parametrize("real", CASES)
+@pytest.mark.parametrize("real", [*CASES, "moving"])
 def test_no_warning_of_a_strict_compiler(tmp_path, real, compiler):
     code = exported(tmp_path, real)
     assert code.read_bytes().isascii()
@@ -51,7 +60,7 @@ if shutil.which("cppcheck"):
     @pytest.mark.slow
     def test_misra_deviations_are_those_of_the_readme(tmp_path):
         found = set()
-        for real in CASES:
+        for real in (*CASES, "moving"):
             code = exported(tmp_path / real, real)
             command = ["cppcheck", "--std=c99", "-DFLT_EVAL_METHOD=0", "--addon=misra", "-q"]
             command += ["--enable=warning,style,performance,portability", str(code)]
