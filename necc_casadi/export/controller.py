@@ -13,7 +13,11 @@ import casadi as ca
 
 from necc_casadi.designs.integral import integral_rate
 from necc_casadi.export.casadi2c import c_function
-from necc_casadi.export.margin import has_margin, margin_code, margin_takes_momenta
+from necc_casadi.export.margin import (
+    margin_code,
+    margin_of_region,
+    margin_takes_momenta,
+)
 from necc_casadi.export.networks import CNetwork, c_network, kernels, loop_sizes
 from necc_casadi.export.source import Source
 from necc_casadi.export.targets import target_code
@@ -110,7 +114,7 @@ def _leaves(source: Source) -> list[str]:
     leaves = [c_function("casimirs", arguments[:2], [("c", c)], real)]
     if source.shaped:
         leaves.append(c_function("shifted", arguments[:2], [("held", here[source.n :])], real))
-    if source.neural_phi or has_margin(source):
+    if source.neural_phi or margin_of_region(source) is not None:
         H = terms.measured.H(x)
         leaves.append(c_function("hamiltonian", arguments[:1], [("H", H)], real))
     if needs_state(source):

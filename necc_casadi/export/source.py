@@ -18,6 +18,7 @@ from necc_casadi.errors import OptionError
 from necc_casadi.export.casadi2c import Real
 from necc_casadi.export.sampled_loop import ORDERS, largest_stable_time
 from necc_casadi.export.templating import PREFIX, prefixed
+from necc_casadi.model.parametric import Parametric
 from necc_casadi.model.shaped_loop import ShapedLoop
 
 __all__ = ["Source"]
@@ -44,6 +45,7 @@ class Source:
     integrator: Integrator = "heun"
     certificate: Certificate | None = None
     prefix: str = PREFIX
+    parametric: Parametric | None = None  # the plant with its parameters as symbols
 
     def __post_init__(self) -> None:
         if self.real not in get_args(Precision):

@@ -36,7 +36,7 @@ from necc_casadi.model.modulated import (
 )
 from necc_casadi.model.parametric import Parametric
 from necc_casadi.model.plant import Plant, make_plant
-from necc_casadi.model.ranges import Ranges
+from necc_casadi.model.ranges import Range, Ranges
 from necc_casadi.model.reader import Reader, inputs_inside, printable, real, source, stands_inside
 from necc_casadi.model.urdf import read_urdf
 from necc_casadi.texts import escaped
@@ -54,7 +54,7 @@ _AFFINE = ("x", "f", "G")
 _OPTIONAL = (
     "params", "xi", "Jc", "Rc", "Gc", "casimirs", "target", "domain", "sizes", "D", "Dc",
     "u_limits", "units", "name", "state_cost", "input_cost", "u", "E", "f", "measured",
-    "uncertain", "setpoints", "disturbance", "inputs",
+    "uncertain", "setpoints", "disturbance", "runtime", "inputs",
 )  # fmt: skip
 
 
@@ -90,6 +90,7 @@ class Model:
     params: Mapping[str, sp.Expr] = field(default_factory=dict)  # values, exact
     notes: tuple[str, ...] = ()  # names in the file that look mistyped
     ranges: Ranges = field(default_factory=Ranges)  # of set-points and uncertain parameters
+    told: Mapping[str, Range] = field(default_factory=dict)  # of parameters told at run time
     parametric: Parametric | None = None  # the plant before values were put in; None: no parameter
 
     @cached_property
@@ -301,9 +302,10 @@ def _build(title: str, space: dict[str, Any], overrides: Mapping[str, str]) -> M
         params=file.parameters,
         ranges=Ranges(
             entries.sides_of_states(file, "setpoints", plant.states),
-            entries.uncertain(file),
+            entries.parameters(file, "uncertain"),
             entries.disturbance(file, plant.m),
         ),
+        told=entries.told(file),
         parametric=_parametric(file),
     )
 

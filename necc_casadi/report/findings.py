@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import sympy as sp
 
+from necc_casadi.arrays import Vector
 from necc_casadi.errors import OptionError
 from necc_casadi.methods.find import Found
 from necc_casadi.methods.method import Method
@@ -25,11 +26,12 @@ if TYPE_CHECKING:  # a verdict alone needs none of these
     from necc_casadi.designs.measures import Measures
     from necc_casadi.export.sampled_loop import SampledLoop
     from necc_casadi.model.family_loop import NoFamily
+    from necc_casadi.performance.beside_proof import BesideProof
     from necc_casadi.performance.measure import Performance
     from necc_casadi.simulation.responses import Trajectory
     from necc_casadi.synthesis.asked import Asked
 
-__all__ = ["Findings", "attracts", "family_claim", "global_claim", "region_claim"]
+__all__ = ["Findings", "attracts", "global_claim", "held_claim", "region_claim"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,8 +50,10 @@ class Findings:
     sampling: SampledLoop | None = None
     asked: Asked | None = None  # of the response
     performance: Performance | None = None  # with --compare
+    parameter_errors: Mapping[str, Vector | None] = field(default_factory=dict)  # as of Errors
     sweep: Sequence[SweepPoint] = ()
     family: Family | None = None  # that the design is one of
+    beside: BesideProof | None = None  # plants that a proof is about, simulated
     no_family: NoFamily | None = None  # why there is provably none
     parametric: Parametric | None = None  # the plant with its parameters as symbols
     notes: tuple[str, ...] = ()
@@ -142,9 +146,10 @@ def global_claim(certificate: Certificate) -> Claim | None:
     return _named(certificate, "global")
 
 
-def family_claim(certificate: Certificate | None) -> Claim | None:
-    """The claim about the family."""
-    return None if certificate is None else _named(certificate, "family")
+def held_claim(certificate: Certificate | None, name: str) -> Claim | None:
+    """A claim that is proved; None without it."""
+    claim = None if certificate is None else _named(certificate, name)
+    return claim if claim is not None and claim.holds else None
 
 
 def _named(certificate: Certificate, name: str) -> Claim | None:

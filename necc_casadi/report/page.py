@@ -30,6 +30,8 @@ _CAPTIONS = {
     "responses": "Simulated responses from ten random states, inputs within their limits.",
     "region": "The proved region, its slice through the target and its shadow over all states.",
     "landscape": "The least V − V(z̄) over all states that are not shown, and what ends the region.",
+    "proof": "Plants of the ranges that are proved, the corners of these first, each from a random "
+    "state; the band in which every one of them is proved to rest. Simulated beside proved.",
     "step": "From one size below the target, beside LQR and the optimum. Simulated.",
     "loop": "The loop broken at the plant's input, Bode and Nyquist. Computed at z̄.",
     "sweep": "Designs for several curvatures a asked of V at the target.",
@@ -88,7 +90,7 @@ def report(found: Findings, figures: Mapping[str, Figure], command: str = "") ->
             "Design",
             _lyapunov(made) + _facts(found, ("sizes", "design", "minimum", "loop", "sampled")),
         ),
-        ("What is proved", _claims(certificate) + _facts(found, ("family", "region"))),
+        ("What is proved", _claims(certificate) + _facts(found, ("family", "plants", "region"))),
         ("How it responds", _facts(found, ("asked", "NOT met", "responses", "starts"))),
         ("Beside LQR and the optimum", _compared(found, plant)),
         ("Figures", _figures(figures)),

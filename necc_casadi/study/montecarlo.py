@@ -11,8 +11,8 @@ import numpy as np
 
 from necc_casadi.designs.design import Design
 from necc_casadi.designs.plant_file import parse_plant
+from necc_casadi.simulation.perturbed import OtherPlants
 from necc_casadi.simulation.responses import random_states
-from necc_casadi.study.perturbed import OtherPlants
 from necc_casadi.study.rows import Row
 from necc_casadi.study.vary import Band
 

@@ -44,6 +44,8 @@ def least_kappa(
 ) -> float:
     """The least κ, in natural units, for which quadratic parts alone make V convex at samples.
 
+    `energies` are those of the members of a family, for which V is to be convex, too.
+
     They must also reach the curvature `a` (n + nc,) at z*, with something to spare, so that the
     networks need not. The samples fill twice the natural domain, whole turns of an angle included.
     The plant states `momenta` are at rest in them: H is convex in them, and the proof of a global
@@ -64,6 +66,8 @@ def least_kappa(
 
     # invisible directions have the curvature of H and no more: ask for what can be reached
     top, margin = lowest(_STIFFEST)
+    if (top <= 1 or margin <= 0) and energies:  # of the nominal plant alone
+        return least_kappa(terms, scales, verdict, x_star, xi_star, a, momenta)
     if top <= 1 or margin <= 0:
         return KAPPA_MIN
     needed = min(_TO_SPARE, (1 + top) / 2), min(_MARGIN, margin / 2)

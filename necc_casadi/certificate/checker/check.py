@@ -9,7 +9,7 @@ from __future__ import annotations
 import binascii
 import hashlib
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 
@@ -18,13 +18,15 @@ from necc_casadi.certificate.checker.code import check_code
 from necc_casadi.certificate.checker.contents import check_contents
 from necc_casadi.certificate.checker.decrease import check_decrease
 from necc_casadi.certificate.checker.equilibrium import check_equilibrium
+from necc_casadi.certificate.checker.everywhere import check_everywhere
 from necc_casadi.certificate.checker.evidence import Checked, Evidence
-from necc_casadi.certificate.checker.family import check_family
+from necc_casadi.certificate.checker.family import StoredMembers, check_family
 from necc_casadi.certificate.checker.fed_momenta import check_momenta
 from necc_casadi.certificate.checker.global_stability import check_global
 from necc_casadi.certificate.checker.input_limits import check_clipping, check_input_limits
 from necc_casadi.certificate.checker.integral import check_integral
 from necc_casadi.certificate.checker.measurement import check_measurement
+from necc_casadi.certificate.checker.members import check_members
 from necc_casadi.certificate.checker.model import StoredDesign
 from necc_casadi.certificate.checker.reading import (
     check_design,
@@ -71,8 +73,7 @@ def check(folder: Path) -> tuple[Checked, ...]:
         plant = partial(read_plant, folder, design_text)
         found = _everything(evidence, plant)
         own = hashlib.sha256(design_text.encode()).hexdigest()
-        if evidence.claimed("family"):
-            found.append(check_family(evidence, folder, own, plant))
+        found += _of_family(evidence, folder, own, plant, found)
         results = [_as_worded(evidence, result) for result in found]
         contents = check_contents(evidence, results)
     except _UNREADABLE as problem:
@@ -84,6 +85,23 @@ def check(folder: Path) -> tuple[Checked, ...]:
         text = "design.json has changed" if not same else "the model in design.json was edited"
     first = Checked("design", same and whole, text)
     return first, *results, contents, *check_code(folder, design_text)
+
+
+def _of_family(
+    evidence: Evidence,
+    folder: Path,
+    own: str,
+    plant: Callable[[], str | None],
+    found: Sequence[Checked],
+) -> list[Checked]:
+    """The claims about all of family.json, which falls as the design does."""
+    proofs = {"family": check_family, "everywhere": check_everywhere, "members": check_members}
+    claimed = [name for name in proofs if evidence.claimed(name)]
+    if not claimed:
+        return []
+    falls = any(result.name == "decrease" and result.holds for result in found)
+    stored = StoredMembers(evidence, folder, own, plant, falls)
+    return [proofs[name](evidence, stored) for name in claimed]
 
 
 def _as_worded(evidence: Evidence, result: Checked) -> Checked:

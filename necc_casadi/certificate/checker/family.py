@@ -2,18 +2,25 @@
 
 from __future__ import annotations
 
-import copy
 import hashlib
 import json
+import math
 from collections.abc import Callable, Mapping, Sequence
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 
 import numpy as np
 import sympy as sp
 from flint import arb, arb_mat
 
-from necc_casadi.certificate.checker.arithmetic.balls import Box, ball, by_bisection, ends, evaluate
+from necc_casadi.certificate.checker.arithmetic.balls import (
+    Box,
+    ball,
+    by_bisection,
+    ends,
+    evaluate,
+    meet,
+)
 from necc_casadi.certificate.checker.arithmetic.definite import middle_of, positive
 from necc_casadi.certificate.checker.arithmetic.potential import Energy, hessian_hull
 from necc_casadi.certificate.checker.arithmetic.smooth import is_smooth_on
@@ -23,47 +30,70 @@ from necc_casadi.certificate.claims.family import FAMILY_FILE, FamilyBox, Family
 from necc_casadi.certificate.claims.regions import Side
 from necc_casadi.files import read_text
 
-__all__ = ["check_family"]
+__all__ = ["Minima", "StoredMembers", "check_family", "covers"]
 
 
 #: Bytes of family.json, and boxes.
 _LARGEST, _MOST_BOXES = 1 << 24, 10_000
 
 
-#: How often a box of ϑ may be halved.
-_HALVINGS = 12
+#: How often a box of ϑ may be halved, and Krawczyk's operator applied to what is left.
+_HALVINGS, _STEPS = 12, 4
 
 
-def check_family(
-    evidence: Evidence, folder: Path, design_hash: str, plant_file: Callable[[], str | None]
-) -> Checked:
-    """Every ϑ: V_ϑ falls, and z̄(ϑ) is where the certificate says; `plant_file` gives plant.json."""
-    claim = FamilyClaim.read(evidence.claims["family"].data)
-    text = read_text(folder / FAMILY_FILE, _LARGEST)
-    data = json.loads(text)
-    family = StoredFamily(evidence.model, data)
-    minima = _Minima(family)
-    sides = {p.name: p.side for p in family.parameters}
-    units = dict(zip(evidence.model.states, evidence.model.units.state, strict=True))
-    unknown = any(p.kind == "uncertain" for p in family.parameters)
-    worded = statement(sides, claim.error, units, unknown)
-    own: list[Obligation] = [
-        (
-            "family.json is the one that is claimed about, and of this design",
-            lambda: (
-                hashlib.sha256(text.encode()).hexdigest() == claim.family
-                and data["design"] == design_hash
+class StoredMembers:
+    """family.json beside its design, and what makes V fall for all that it describes."""
+
+    def __init__(
+        self,
+        evidence: Evidence,
+        folder: Path,
+        design_hash: str,
+        plant_file: Callable[[], str | None],
+        falls: bool,
+    ) -> None:
+        """`plant_file` gives plant.json; `falls`: the damping and the design's own structure."""
+        text = read_text(folder / FAMILY_FILE, _LARGEST)
+        data = json.loads(text)
+        self.hash = hashlib.sha256(text.encode()).hexdigest()
+        self.family = family = StoredFamily(evidence.model, data)
+        unknown = family.has_unknown
+        self._rests_on: list[Obligation] = [
+            ("family.json is of this design", lambda: data["design"] == design_hash),
+            ("V of the design never increases", lambda: falls),
+            *family.obligations(),
+            (
+                "unknown parameters do what plant.json says",
+                lambda: not unknown or family.is_written_in(plant_file()),
             ),
-        )
-    ]
+        ]
+
+    def obligations(self, claimed: str) -> list[Obligation]:
+        """What a claim about the family with this hash rests on; proved once for all of them."""
+        own: Obligation = ("family.json is the one that is claimed about",
+                           lambda: self.hash == claimed)  # fmt: skip
+        return [own, *((what, partial(self._proved, what)) for what, _ in self._rests_on)]
+
+    def _proved(self, what: str) -> bool:
+        if what not in self._known:
+            self._known[what] = dict(self._rests_on)[what]()
+        return self._known[what]
+
+    @cached_property
+    def _known(self) -> dict[str, bool]:
+        return {}
+
+
+def check_family(evidence: Evidence, members: StoredMembers) -> Checked:
+    """Every ϑ: V_ϑ falls, and z̄(ϑ) is where the certificate says."""
+    claim, family = FamilyClaim.read(evidence.claims["family"].data), members.family
+    minima = Minima(family)
+    units = dict(zip(evidence.model.states, evidence.model.units.state, strict=True))
+    worded = statement(family.sides, claim, units, family.has_unknown)
+    boxes = [box.theta for box in claim.boxes] + list(claim.left)
     obligations = [
-        *own,
-        *family.obligations(),
-        (
-            "unknown parameters do what plant.json says",
-            lambda: not unknown or family.is_written_in(plant_file()),
-        ),
-        ("the boxes cover the ranges", lambda: _cover(family.exact, claim.boxes)),
+        *members.obligations(claim.family),
+        ("the boxes, with those left out, cover the ranges", lambda: covers(family.box, boxes)),
         ("everything is smooth on the boxes", lambda: minima.smooth(claim.boxes)),
         ("the minimum is where it is claimed", lambda: all(map(minima.holds, claim.boxes))),
         ("the errors are those of the boxes", lambda: minima.within(claim)),
@@ -71,30 +101,44 @@ def check_family(
     return Checked.by("family", worded, obligations)
 
 
-class _Minima:
+class Minima:
     """z̄(ϑ) on boxes of ϑ, by Krawczyk's operator in balls."""
 
     def __init__(self, family: StoredFamily) -> None:
         self.family, self.model = family, family.model
-        nothing = copy.copy(self.model)
-        nothing.H = sp.Integer(0)
-        self.networks = Energy(nothing, range(len(self.model.z)))
+        self.networks = Energy(family.without_energy(), range(len(self.model.z)))
         x = self.model.z[: self.model.n]
-        slope = [sp.diff(family.H, s) for s in x]
+        self.slope = slope = [sp.diff(family.H, s) for s in x]
         here = dict(zip(x, self.model.target, strict=True))
         self.at_target = [sp.simplify(e.subs(here)) for e in slope]
         self.bends = [[sp.diff(e, s) for s in x] for e in slope]
         self.turns = [[sp.diff(e, s) for s in family.symbols] for e in self.at_target]
+        self.mixed = [[sp.diff(e, s) for s in family.symbols] for e in slope]
         self.target = self.model.target_balls()
 
+    @cached_property
+    def reaches(self) -> list[float]:
+        """Lengths of sides of ϑ that move the slope at the target alike."""
+        ranges = {
+            s: ball(*side) for s, side in zip(self.family.symbols, self.family.box, strict=True)
+        }
+        steep = [
+            max(float(evaluate(row[k], ranges).abs_upper()) for row in self.turns)
+            for k in range(len(ranges))
+        ]
+        return [1 / v if 0 < v < math.inf else 1.0 for v in steep]
+
     def smooth(self, boxes: Sequence[FamilyBox]) -> bool:
-        """Whether H, J, R, G and the Casimirs are smooth on the hull of all boxes and z*."""
-        family, model = self.family, self.model
+        """Whether H, J, R, G and the Casimirs are smooth on the hull of each box and z*."""
         z = [ends(t) for t in self.target]
         sides = [(*box.around, *box.theta) for box in boxes]
-        hull = [(min(s[0] for s in c), max(s[1] for s in c)) for c in zip(*sides, strict=True)]
+        hull = tuple((min(s[0] for s in c), max(s[1] for s in c)) for c in zip(*sides, strict=True))
+        return self._smooth_on(hull, z) or all(self._smooth_on(side, z) for side in sides)
+
+    def _smooth_on(self, box: Box, z: Sequence[Side]) -> bool:
+        family, model = self.family, self.model
         whole = [(min(a, z[i][0]), max(b, z[i][1])) if i < len(z) else (a, b)
-                 for i, (a, b) in enumerate(hull)]  # fmt: skip
+                 for i, (a, b) in enumerate(box)]  # fmt: skip
         seen = [*family.x_star, *family.feed]
         written = [family.H, *family.J, *family.R, *family.G, *seen, *model.written]
         return is_smooth_on(written, (*model.z, *family.symbols), tuple(whole))
@@ -103,26 +147,42 @@ class _Minima:
         """X in the inside of B and ∇²V ≻ 0 on B: one minimum in X, for each ϑ of the box."""
         inside = all(b[0] < x[0] and x[1] < b[1]
                      for x, b in zip(claimed.minimum, claimed.around, strict=True))  # fmt: skip
-        return inside and by_bisection(
-            claimed.theta, partial(self._maps_into, claimed.around, claimed.minimum), _HALVINGS
-        )
+        test = partial(self._leads_to, claimed.around, claimed.minimum)
+        return inside and by_bisection(claimed.theta, test, _HALVINGS, sizes=self.reaches)
 
-    def _maps_into(self, B: Box, X: Box, sides: Box) -> bool:
-        """Whether Krawczyk's operator takes B into X for every ϑ of a box."""
-        z0 = [arb(lo / 2 + hi / 2) for lo, hi in X]
+    def _leads_to(self, B: Box, X: Box, sides: Box) -> bool:
+        """Whether Krawczyk's operator takes B into itself, and what is left of it into X.
+
+        For every ϑ of a box. Once V has one critical point in B, the operator keeps it in any part.
+        """
+        middle = [arb(lo / 2 + hi / 2) for lo, hi in X]
+        found = self._image(B, middle, sides)
+        if found is None or not _within(found, B, strictly=True):
+            return False
+        for _ in range(_STEPS):
+            if _within(found, X):
+                return True
+            around = _common(found, B)
+            again = self._image(around, [arb(lo / 2 + hi / 2) for lo, hi in around], sides)
+            if again is None:
+                return False
+            found = _common(again, around)
+        return _within(found, X)
+
+    def _image(self, B: Box, z0: list[arb], sides: Box) -> Box | None:
+        """What Krawczyk's operator makes of B; None where ∇²V ≻ 0 is not proved on it."""
         theta = {s: ball(*side) for s, side in zip(self.family.symbols, sides, strict=True)}
         hess = self._hessian(B, theta)
         guess = middle_of(hess)
         if not np.isfinite(guess).all() or not positive(hess, 0):
-            return False
+            return None
         Y = arb_mat(np.linalg.inv(guess).tolist())
-        slope = arb_mat([[g] for g in self._gradient(z0, theta, sides)])
+        slope = arb_mat([[g] for g in self.gradient(z0, theta, sides)])
         N = len(z0)
         identity = arb_mat([[int(i == j) for j in range(N)] for i in range(N)])
         offset = arb_mat([[ball(*side) - m] for side, m in zip(B, z0, strict=True)])
         moved = (identity - Y * hess) * offset - Y * slope
-        found = [ends(m + row[0]) for m, row in zip(z0, moved.tolist(), strict=True)]
-        return all(x <= lo and hi <= y for (lo, hi), (x, y) in zip(found, X, strict=True))
+        return tuple(ends(m + row[0]) for m, row in zip(z0, moved.tolist(), strict=True))
 
     def _hessian(self, box: Box, theta: Mapping[sp.Symbol, arb]) -> arb_mat:
         total, n = self._of_networks(box), self.model.n
@@ -149,23 +209,37 @@ class _Minima:
                 total[i, j] = total[i, j] + _entry(of_hc, i - first, j - first)
         return total
 
-    def _gradient(
+    def gradient(
         self, z: Sequence[arb], theta: Mapping[sp.Symbol, arb], sides: Sequence[Side]
     ) -> list[arb]:
-        """∇V at a point: of Ĥ by that at the target, and ∇²Ĥ in between."""
+        """∇V at a point: of Ĥ as it stands, and by that at the target and ∇²Ĥ in between."""
         n = self.model.n
-        known = {s: t.union(v) for s, t, v in zip(self.model.z, self.target, z, strict=True)}
-        known.update(theta)
+        way = {s: t.union(v) for s, t, v in zip(self.model.z, self.target, z, strict=True)}
+        way.update(theta)
+        here = dict(zip(self.model.z, z, strict=True))
         grad = list(self.networks.gradient_at(list(z)))
-        centre = {s: arb(lo / 2 + hi / 2) for s, (lo, hi) in zip(theta, sides, strict=True)}
         for i in range(n):
-            start = evaluate(self.at_target[i], centre)
-            for s, slope in zip(theta, self.turns[i], strict=True):
-                start = start + evaluate(slope, theta) * (theta[s] - centre[s])
+            start = self._over_theta(self.at_target[i], self.turns[i], {}, theta, sides)
             for j in range(n):
-                start = start + evaluate(self.bends[i][j], known) * (z[j] - self.target[j])
-            grad[i] = grad[i] + start
+                start = start + evaluate(self.bends[i][j], way) * (z[j] - self.target[j])
+            direct = self._over_theta(self.slope[i], self.mixed[i], here, theta, sides)
+            grad[i] = grad[i] + meet(start, direct)
         return grad
+
+    def _over_theta(
+        self,
+        expr: sp.Expr,
+        slopes: Sequence[sp.Expr],
+        known: Mapping[sp.Symbol, arb],
+        theta: Mapping[sp.Symbol, arb],
+        sides: Sequence[Side],
+    ) -> arb:
+        """An expression at known states over ϑ: its value at the middle, and slopes."""
+        centre = {s: arb(lo / 2 + hi / 2) for s, (lo, hi) in zip(theta, sides, strict=True)}
+        total, whole = evaluate(expr, {**known, **centre}), {**known, **theta}
+        for s, slope in zip(theta, slopes, strict=True):
+            total = total + evaluate(slope, whole) * (theta[s] - centre[s])
+        return total
 
     def within(self, claim: FamilyClaim) -> bool:
         """Whether the claimed errors hold those of all boxes."""
@@ -180,18 +254,27 @@ class _Minima:
         return True
 
 
+def _within(inner: Box, outer: Box, strictly: bool = False) -> bool:
+    """Whether a box is in another one."""
+    pairs = zip(inner, outer, strict=True)
+    if strictly:
+        return all(a < lo and hi < b for (lo, hi), (a, b) in pairs)
+    return all(a <= lo and hi <= b for (lo, hi), (a, b) in pairs)
+
+
+def _common(a: Box, b: Box) -> Box:
+    """What two boxes that hold one point have in common."""
+    return tuple((max(x[0], y[0]), min(x[1], y[1])) for x, y in zip(a, b, strict=True))
+
+
 def _entry(hess: Mapping[tuple[int, int], arb], i: int, j: int) -> arb:
     return hess[min(i, j), max(i, j)]
 
 
-def _cover(exact: Sequence[tuple[arb, arb]], boxes: Sequence[FamilyBox]) -> bool:
+def covers(whole: Box, boxes: Sequence[Box]) -> bool:
     """Whether boxes hold every point of the ranges."""
-    if not boxes or len(boxes) > _MOST_BOXES:
-        return False
-    whole = tuple((ends(lo)[0], ends(hi)[1]) for lo, hi in exact)
-    if not all(lo <= hi for lo, hi in whole):
-        return False
-    return _covered(whole, [box.theta for box in boxes])
+    sized = all(len(box) == len(whole) for box in boxes)
+    return sized and 0 < len(boxes) <= _MOST_BOXES and _covered(whole, list(boxes))
 
 
 def _covered(region: Box, boxes: list[Box]) -> bool:

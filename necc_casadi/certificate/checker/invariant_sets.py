@@ -25,7 +25,10 @@ _DEPTH = 14
 
 
 def largest_invariant_set_is_critical(
-    model: StoredDesign, resting: Sequence[int], place: OverBox | None
+    model: StoredDesign,
+    resting: Sequence[int],
+    place: OverBox | None,
+    constants: OverBox | None = None,
 ) -> bool:
     """Whether solutions on which V stays constant are critical points of V, in a box of all states.
 
@@ -33,15 +36,16 @@ def largest_invariant_set_is_critical(
     Q(z): a block of the rows is regular on the box, which leaves no room for more. Where Jcl Q
     moves resting states alone and is injective, while Q has no part in the states that it moves,
     these keep ∂V/∂s = 0 and so, ∂²H/∂s² ≻ 0 being proved, stay: ∇V = 0. For all of the space
-    (None) only what is constant counts.
+    (None) only what is free of states counts; `constants` is a box of what else there is.
     """
-    whole = place is None
-    if whole and model.Jcl.free_symbols:
+    whole, states = place is None, set(model.z)
+    if whole and model.Jcl.free_symbols & states:
         return False
-    here = place or OverBox(model.z, tuple((0.0, 0.0) for _ in model.z))
+    here = place or constants or OverBox(model.z, tuple((0.0, 0.0) for _ in model.z))
     seen = model.ports.T.col_join(model.Rcl)
     if whole:
-        seen = seen[[i for i in range(seen.rows) if not seen.row(i).free_symbols], :]
+        kept = [i for i in range(seen.rows) if not seen.row(i).free_symbols & states]
+        seen = seen[kept, :]
     if not here.defined(sp.Matrix(model.Jcl - model.Rcl)):
         return False
     rows = here.independent(seen)

@@ -24,7 +24,7 @@ __all__ = ["StoredDesign"]
 
 
 class StoredIntegral:
-    """Integral action: τ in natural units, and the limits of ζ as they stand.
+    """Integral action: τ and the limits of ζ in natural units, and these as they stand.
 
     Raises
     ------
@@ -40,6 +40,7 @@ class StoredIntegral:
         if not positive or not len(self.gain) == len(self.stated) == len(scale.input):
             raise ValueError("integral action needs positive numbers, one for each input")
         self.tau = tau / scale.time
+        self.limit = divided(self.stated, scale.input)
 
 
 class StoredDesign:
@@ -123,6 +124,14 @@ class StoredDesign:
         }
         if not set(self.setpoints) <= set(model["states"][: self.n // 2]):
             raise ValueError("a set-point of what is no coordinate")
+        #: Parameter → ends of its range, and the plant with these as symbols, where some are told.
+        told = data.get("told", {"ranges": {}, "plant": None})
+        self.told_ranges = {str(k): (str(lo), str(hi)) for k, (lo, hi) in told["ranges"].items()}
+        self.told_plant: Mapping[str, Any] | None = told["plant"]
+        if set(self.told_ranges) & set(self.states) or not all(
+            name.isidentifier() for name in self.told_ranges
+        ):
+            raise ValueError("a parameter that is told needs a word of its own")
         units = dict(zip(self.states, S, strict=True))
         self.domain = {
             name: tuple(parse(v, {}) / units[name] for v in bounds)
@@ -226,6 +235,11 @@ class StoredDesign:
             lo, hi = (ends(evaluate(v, {})) for v in sides)
             result[self.states.index(name)] = (lo[1], hi[0])
         return result
+
+    @property
+    def domain_sizes(self) -> list[float]:
+        """How far the domain reaches where the model names no bounds, halved; natural units."""
+        return self._scale.size
 
     @property
     def delta(self) -> float:

@@ -6,14 +6,16 @@ unknown parameters at x̂ + x*(r) − x*(r₀), with the feed-forward and the di
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Mapping, Sequence
-from typing import Any
+from functools import cached_property
+from typing import Any, cast
 
 import sympy as sp
-from flint import arb
 
-from necc_casadi.certificate.checker.arithmetic.balls import evaluate
+from necc_casadi.certificate.checker.arithmetic.balls import Box, ends, evaluate
 from necc_casadi.certificate.checker.evidence import Obligation
+from necc_casadi.certificate.checker.loops import StoredInterconnection
 from necc_casadi.certificate.checker.model import StoredDesign
 from necc_casadi.certificate.checker.plants import StoredPlants
 from necc_casadi.certificate.checker.units import rationals
@@ -104,10 +106,49 @@ class StoredFamily:
         """ϑ."""
         return [p.symbol for p in self.parameters]
 
+    @cached_property
+    def box(self) -> Box:
+        """The ranges, in doubles around their ends.
+
+        Raises
+        ------
+        ValueError
+            When one is empty.
+        """
+        sides = tuple((ends(evaluate(p.lo, {}))[0], ends(evaluate(p.hi, {}))[1])
+                      for p in self.parameters)  # fmt: skip
+        if not all(lo <= hi for lo, hi in sides):
+            raise ValueError("a range without numbers")
+        return sides
+
     @property
-    def exact(self) -> list[tuple[arb, arb]]:
-        """The ranges, as balls around their ends."""
-        return [(evaluate(p.lo, {}), evaluate(p.hi, {})) for p in self.parameters]
+    def sides(self) -> dict[str, Side]:
+        """The ranges by name, for words."""
+        return {p.name: p.side for p in self.parameters}
+
+    @property
+    def has_unknown(self) -> bool:
+        """Whether some parameters are not known."""
+        return any(p.kind == "uncertain" for p in self.parameters)
+
+    def without_energy(self) -> StoredDesign:
+        """The design with H = 0: its networks and Casimirs."""
+        nothing = copy.copy(self.model)
+        nothing.H = sp.Integer(0)
+        return nothing
+
+    @property
+    def units_of_states(self) -> list[sp.Expr]:
+        """Natural units of the plant's states."""
+        return list(rationals(self.model.units.state[: self.model.n]))
+
+    def as_design(self) -> StoredDesign:
+        """The design with ϑ as symbols in its plant."""
+        member, inner = copy.copy(self.model), cast(StoredInterconnection, self.model.loop)
+        loop = StoredInterconnection(self.J, self.R, self.G, inner.Jc, inner.Rc, inner.Gc)
+        member.H, member.J, member.R, member.G, member.loop = self.H, self.J, self.R, self.G, loop
+        member.Jcl, member.Rcl, member.ports = loop.Jcl, loop.Rcl, loop.ports
+        return member
 
     def obligations(self) -> list[Obligation]:
         """What makes this the family of the design, and V fall for all of it."""

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from decimal import ROUND_CEILING, ROUND_FLOOR, Context, Decimal
 from typing import Any
@@ -10,7 +11,18 @@ from typing import Any
 from necc_casadi.certificate.claims.fields import read_as
 from necc_casadi.certificate.claims.regions import Side
 
-__all__ = ["FAMILY_FILE", "FamilyBox", "FamilyClaim", "off_target", "outward", "statement"]
+__all__ = [
+    "FAMILY_FILE",
+    "FamilyBox",
+    "FamilyClaim",
+    "off_target",
+    "outward",
+    "over_ranges",
+    "proved_share",
+    "statement",
+    "taken",
+    "within",
+]
 
 
 FAMILY_FILE = "family.json"
@@ -27,10 +39,11 @@ class FamilyBox:
 
 @dataclass(frozen=True)
 class FamilyClaim:
-    """All of them; together the boxes cover the ranges."""
+    """All of them; together the boxes, with those that are left out, cover the ranges."""
 
     family: str  # SHA-256 of family.json
     boxes: tuple[FamilyBox, ...]
+    left: tuple[tuple[Side, ...], ...]  # of ϑ, of which no minimum is claimed
     error: Mapping[str, Side]  # of each plant state against its set-point, units of the model
 
     @property
@@ -52,22 +65,58 @@ class FamilyClaim:
 
 def statement(
     ranges: Mapping[str, Side],
-    error: Mapping[str, Side],
+    claim: FamilyClaim,
     units: Mapping[str, float],
     measured: bool,
 ) -> str:
     """Of the whole family; `units` are natural ones of states, `measured`: y is no model's."""
-    over = ", ".join(f"{name} in [{_inward(*side)}]" for name, side in ranges.items())
+    rests = within(claim.error, units)
+    return (
+        f"for every {over_ranges(ranges)}: V never increases along the continuous-time, "
+        f"unsaturated loop{taken(measured)}, and{_but_for(list(ranges), claim)} has a strict "
+        f"minimum{rests}, a stable equilibrium"
+    )
+
+
+def _but_for(names: Sequence[str], claim: FamilyClaim) -> str:
+    """Boxes of parameters that are left out, in words."""
+    if not claim.left:
+        return ""
+    shown = "; ".join(
+        ", ".join(f"{n} in [{_outward(*side)}]" for n, side in zip(names, box, strict=True))
+        for box in claim.left[:_SHOWN]
+    )
+    more = f"; and {len(claim.left) - _SHOWN} more boxes" if len(claim.left) > _SHOWN else ""
+    return f", except for {shown}{more},"
+
+
+def proved_share(data: Mapping[str, Any]) -> float:
+    """How much of the ranges the boxes of a claim's `data` are, by volume."""
+    proved, left = (
+        sum(math.prod(hi - lo or 1.0 for lo, hi in box) for box in boxes)
+        for boxes in ((box["theta"] for box in data["boxes"]), data["left"])
+    )
+    return proved / (proved + left)
+
+
+def over_ranges(ranges: Mapping[str, Side]) -> str:
+    """What a family is claimed for."""
+    return ", ".join(f"{name} in [{_inward(*side)}]" for name, side in ranges.items())
+
+
+def taken(measured: bool) -> str:
+    """What the controller has to be fed, where parameters are unknown."""
+    return ", with y measured and not computed from the model" if measured else ""
+
+
+def within(error: Mapping[str, Side], units: Mapping[str, float]) -> str:
+    """Where the minimum is, against the set-point."""
     moving = off_target(error, units)
+    if not moving:
+        return ", the set-point itself but for rounding"
     sides = ((name, *outward(error[name])) for name in moving)
     shown = ", ".join(f"{name} [{lo}, {hi}]" for name, lo, hi in sides)
-    far = f"; at rest the error of the set-point is within {shown}" if moving else ""
-    exact = "" if moving else ", the set-point itself but for rounding"
-    taken = ", with y measured and not computed from the model" if measured else ""
-    return (
-        f"for every {over}: V never increases along the continuous-time, unsaturated loop{taken}, "
-        f"and has a strict minimum{exact}, a stable equilibrium{far}"
-    )
+    return f", whose error against the set-point is within {shown}"
 
 
 def off_target(error: Mapping[str, Side], units: Mapping[str, float]) -> list[str]:
@@ -84,6 +133,13 @@ def _inward(lo: float, hi: float) -> str:
     return f"{float(least):.6g}, {float(most):.6g}"
 
 
+def _outward(lo: float, hi: float) -> str:
+    """Both ends in six digits, rounded away from each other."""
+    least = Context(prec=6, rounding=ROUND_FLOOR).create_decimal(f"{lo:.15g}")
+    most = Context(prec=6, rounding=ROUND_CEILING).create_decimal(f"{hi:.15g}")
+    return f"{float(least):.6g}, {float(most):.6g}"
+
+
 def outward(side: Side) -> tuple[str, str]:
     """Both ends in four digits, rounded to the safe side."""
     lo, hi = (Decimal(v) for v in side)
@@ -91,6 +147,10 @@ def outward(side: Side) -> tuple[str, str]:
         f"{float(Context(prec=4, rounding=ROUND_FLOOR).plus(lo)):.4g}",
         f"{float(Context(prec=4, rounding=ROUND_CEILING).plus(hi)):.4g}",
     )
+
+
+#: Boxes that are left out and told.
+_SHOWN = 3
 
 
 #: Errors below this, in natural units, are those of the arithmetic.

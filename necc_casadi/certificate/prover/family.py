@@ -24,7 +24,13 @@ from necc_casadi.certificate.claims.claim import Claim
 from necc_casadi.certificate.claims.family import FamilyBox, FamilyClaim, statement
 from necc_casadi.certificate.claims.regions import Side
 from necc_casadi.certificate.prover.arithmetic.definite import positive_definite
-from necc_casadi.certificate.prover.arithmetic.intervals import Interval, matmul, point, stack
+from necc_casadi.certificate.prover.arithmetic.intervals import (
+    Interval,
+    concatenate,
+    matmul,
+    point,
+    stack,
+)
 from necc_casadi.certificate.prover.arithmetic.jets import (
     Jet,
     constant,
@@ -40,15 +46,19 @@ from necc_casadi.symbolic.floats import to_float
 from necc_casadi.symbolic.semidefinite import is_positive_semidefinite
 from necc_casadi.symbolic.zero import is_zero
 
-__all__ = ["prove_family"]
+__all__ = ["Minima", "open_condition", "prove_family"]
 
 
 #: Boxes of ϑ at most, and halvings of one.
 _MOST, _DEPTH = 1024, 12
 
 
+#: Halvings of a box in whose middle V has no minimum, until it counts as left out.
+_BORDER = 6
+
+
 #: Growths of a box around the minimum, by which factor, and the room that other arithmetic gets.
-_GROWTHS, _WIDER, _ROOM = 6, 1.3, 0.01
+_GROWTHS, _WIDER, _ROOM = 6, 1.3, 0.02
 
 
 #: Of a range: how far beyond its ends it is proved, so that what is no double is covered.
@@ -56,7 +66,7 @@ _BEYOND = 2.0**-48
 
 
 #: Newton steps to a guess of the minimum, and one that is rounding; natural units.
-_NEWTON_STEPS, _STILL = 30, 1e-13
+_NEWTON_STEPS, _STILL = 12, 1e-13
 
 
 #: Beyond this a minimum is not looked for; half-width of a box at least; natural units.
@@ -64,28 +74,32 @@ _FAR, _LEAST = 1e3, 2.0**-40
 
 
 #: Rounds in which the boxes are halved whose error is this share of the largest.
-_ROUNDS, _NEAR_LARGEST = 5, 0.75
+_ROUNDS, _NEAR_LARGEST = 7, 0.75
 
 
 def prove_family(family: Family) -> Claim:
-    """V_ϑ falls for every ϑ, and z̄(ϑ) is enclosed on boxes that cover the ranges."""
-    missing = _missing(family)
+    """V_ϑ falls for every ϑ, and z̄(ϑ) is enclosed on boxes of the ranges; others are named."""
+    missing = open_condition(family)
     if missing is not None:
         return Claim("family", False, f"nothing is claimed of the family: {missing}")
-    minima = _Minima(family)
+    minima = Minima(family)
     whole = minima.ranges
     boxes, left = minima.covered(whole)
-    if left.shape[0]:
-        shown = _where(family, left[0])
-        text = f"the minimum of V is not enclosed for every parameter: not for {shown}"
+    if not boxes:
+        text = "the minimum of V is not enclosed for any box of parameters"
         return Claim("family", False, f"nothing is claimed of the family: {text}")
-    error = _error(family, minima, boxes)
+    found = FamilyClaim(
+        family.hash,
+        tuple(boxes),
+        tuple(_sides(left[k]) for k in range(left.shape[0])),
+        _error(family, minima, boxes),
+    )
     ranges = {p.name: (to_float(p.range[0]), to_float(p.range[1])) for p in family.parameters}
-    text = statement(ranges, error, family.state_units, bool(family.moved.of("uncertain")))
-    return Claim("family", True, text, FamilyClaim(family.hash, tuple(boxes), error).data)
+    measured = bool(family.moved.of("uncertain"))
+    return Claim("family", True, statement(ranges, found, family.state_units, measured), found.data)
 
 
-def _missing(family: Family) -> str | None:
+def open_condition(family: Family) -> str | None:
     """Which condition of V̇ ≤ 0 is not proved for every ϑ."""
     loop = family.moved.loop
     if family.design.form.phi is not None:
@@ -111,7 +125,7 @@ class _Enclosed:
     proved: Truth  # (B,)
     around: Interval  # (B, N) in which V has one critical point
     inside: Interval  # (B, N) where that is
-    plausible: bool  # whether V seems to have a minimum at the middle of each box
+    plausible: Truth  # (B,) whether V seems to have a minimum at the middle
 
     def boxes(self, theta: Interval, rows: Truth) -> list[FamilyBox]:
         """Some of them as data."""
@@ -122,7 +136,7 @@ class _Enclosed:
 
 
 @dataclass(frozen=True, eq=False)
-class _Minima:
+class Minima:
     """z̄(ϑ) over boxes of ϑ, in natural units of the states."""
 
     family: Family
@@ -142,7 +156,7 @@ class _Minima:
         return Interval(lo - room, hi + room)
 
     @cached_property
-    def _networks(self) -> Potential:
+    def networks(self) -> Potential:
         """Hc + K alone."""
         loop = self.design.loop
         nothing = replace(loop, plant=replace(loop.plant, H=sp.Integer(0)))
@@ -166,7 +180,7 @@ class _Minima:
         """z*, (N,)."""
         return target_enclosure(self.design)
 
-    def _slope_at_target(self, theta: Interval) -> Interval:
+    def slope_at_target(self, theta: Interval) -> Interval:
         """∇Ĥ(x*; Θ) over boxes (B, k), by mean-value forms about their middles, (B, n)."""
         middle = point(theta.mid)
         wide, near = (self._jets(self._at_target, theta), self._jets(self._at_target, middle))
@@ -209,8 +223,8 @@ class _Minima:
         with np.errstate(all="ignore"):
             between = self._hessian_of_energy(Interval(lo, hi), theta)
             step = (Z - self.target)[:, :n]
-            slope = self._slope_at_target(theta) + matmul(between, step[..., None])[..., 0]
-            here, H = self._networks.jet(Z), self._hessian_of_energy(Z, theta)
+            slope = self.slope_at_target(theta) + matmul(between, step[..., None])[..., 0]
+            here, H = self.networks.jet(Z), self._hessian_of_energy(Z, theta)
         grad = Interval(here.grad.lo.copy(), here.grad.hi.copy())
         hess = Interval(here.hess.lo.copy(), here.hess.hi.copy())
         total, bends = grad[:, :n] + slope, hess[:, :n, :n] + H
@@ -239,15 +253,21 @@ class _Minima:
         reach = np.nan_to_num(step.magnitude, nan=_FAR) * 1.2 + _LEAST * (1 + np.abs(z0))
         proved = np.zeros(len(z0), dtype=bool)
         around, inside = (Interval(z0.copy(), z0.copy()) for _ in range(2))
-        for _ in range(_GROWTHS):
-            B = Interval(z0 - reach, z0 + reach)
+
+        def image(B: Interval) -> tuple[Interval, Interval]:
+            """∇²V on boxes, and what Krawczyk's operator makes of them, with room."""
             hess = self.slopes(B, theta)[1]
             with np.errstate(all="ignore"):
                 rest = matmul(identity - matmul(point(Y), hess), (B - z0)[..., None])[..., 0]
                 X = z0 - step + rest
             room = _ROOM * X.rad + _LEAST / 4
-            X = Interval(X.lo - room, X.hi + room)
-            new = ((B.lo < X.lo) & (X.hi < B.hi)).all(1) & positive_definite(hess) & ~proved
+            return hess, Interval(X.lo - room, X.hi + room)
+
+        for _ in range(_GROWTHS):
+            B = Interval(z0 - reach, z0 + reach)
+            hess, X = image(B)
+            held = (z0 - (1 - _ROOM) * reach < X.lo) & (X.hi < z0 + (1 - _ROOM) * reach)
+            new = held.all(1) & positive_definite(hess) & ~proved
             for kept, found in ((around, B), (inside, X)):
                 kept.lo[new], kept.hi[new] = found.lo[new], found.hi[new]
             proved |= new
@@ -255,30 +275,44 @@ class _Minima:
                 break
             grown = np.nan_to_num(np.maximum(np.abs(X.lo - z0), np.abs(X.hi - z0)), nan=_FAR)
             reach = np.minimum(np.maximum(_WIDER * grown, reach * 1.05), _FAR)
-        least = float(np.linalg.eigvalsh(bends)[:, 0].min())
+        nearer = image(inside)[1]  # what is left of them holds the minimum as well
+        inside = Interval(np.maximum(inside.lo, nearer.lo), np.minimum(inside.hi, nearer.hi))
+        plausible: Truth = np.asarray(np.linalg.eigvalsh(bends)[:, 0] > 0)
         proved &= self._smooth(around, theta)
-        return _Enclosed(proved, around, inside, least > 0)
+        return _Enclosed(proved, around, inside, plausible)
 
-    def _smooth(self, Z: Interval, theta: Interval) -> bool:
-        """Whether all is smooth on the hull of boxes (B, N) and (B, k)."""
-        lo = np.concatenate([Z.lo.min(0), theta.lo.min(0)])
-        hi = np.concatenate([Z.hi.max(0), theta.hi.max(0)])
+    def _smooth(self, Z: Interval, theta: Interval) -> Truth:
+        """Whether all is smooth on boxes (B, N) and (B, k): on their hull or, where not, on each.
+
+        (B,).
+        """
+        both = Interval(np.concatenate([Z.lo, theta.lo], 1), np.concatenate([Z.hi, theta.hi], 1))
+        if self._is_smooth(Interval(both.lo.min(0), both.hi.max(0))):
+            return np.ones(Z.shape[0], dtype=bool)
+        return np.array([self._is_smooth(both[k]) for k in range(Z.shape[0])], dtype=bool)
+
+    def _is_smooth(self, box: Interval) -> bool:
         symbols = (*self.design.loop.z, *self.family.moved.symbols)
-        return is_smooth_on(written(self.design), symbols, Interval(lo, hi))
+        return is_smooth_on(written(self.design), symbols, box)
 
     def covered(self, whole: Interval) -> tuple[list[FamilyBox], Interval]:
-        """Boxes that are proved and cover all ϑ, and those of which one is not."""
+        """Boxes that are proved, and those that are not: both together cover all ϑ."""
         todo, boxes = whole[None], list[FamilyBox]()
-        for _ in range(_DEPTH):
+        left = todo[:0]
+        for depth in range(_DEPTH):
             found = self.enclosed(todo)
             boxes += found.boxes(todo, found.proved)
-            todo = todo[np.flatnonzero(~found.proved)]
+            # without a minimum at its middle a box is halved as often as a border needs
+            hopeless = ~found.proved & ~found.plausible & (depth >= _BORDER)
+            left = concatenate(left, todo[np.flatnonzero(hopeless)])
+            todo = todo[np.flatnonzero(~found.proved & ~hopeless)]
             if not todo.shape[0]:
-                return self._sharpened(boxes), todo
-            if not found.plausible or len(boxes) + 2 * todo.shape[0] > _MOST:
+                break
+            if depth == _DEPTH - 1 or len(boxes) + left.shape[0] + 2 * todo.shape[0] > _MOST:
+                left = concatenate(left, todo)
                 break
             todo = self._halved(todo)
-        return boxes, todo
+        return (self._sharpened(boxes) if boxes else boxes), left
 
     def _sharpened(self, boxes: list[FamilyBox]) -> list[FamilyBox]:
         """The boxes that hold the largest errors of the plant's states halved, a few times."""
@@ -333,7 +367,7 @@ def _sides(box: Interval) -> tuple[Side, ...]:
     return tuple((float(a), float(b)) for a, b in zip(box.lo, box.hi, strict=True))
 
 
-def _error(family: Family, minima: _Minima, boxes: list[FamilyBox]) -> dict[str, Side]:
+def _error(family: Family, minima: Minima, boxes: list[FamilyBox]) -> dict[str, Side]:
     """How far the plant's states are from their set-points at rest, units of the model."""
     units, plant = family.design.units.state, family.design.loop.plant
     table = np.array([box.minimum for box in boxes])
@@ -344,8 +378,3 @@ def _error(family: Family, minima: _Minima, boxes: list[FamilyBox]) -> dict[str,
         slack = _BEYOND * 16 * (float(off.magnitude) + float(target.magnitude))
         result[name] = (float((off.lo - slack) * units[i]), float((off.hi + slack) * units[i]))
     return result
-
-
-def _where(family: Family, theta: Interval) -> str:
-    sides = zip(family.parameters, _sides(theta), strict=True)
-    return ", ".join(f"{p.name} in [{lo:.4g}, {hi:.4g}]" for p, (lo, hi) in sides)

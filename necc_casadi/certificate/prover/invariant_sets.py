@@ -44,21 +44,26 @@ _SMALL = 1e-8
 
 
 def largest_invariant_set_is_critical(
-    design: Design, resting: Sequence[int], place: OverBox | None = None
+    design: Design,
+    resting: Sequence[int],
+    place: OverBox | None = None,
+    constants: OverBox | None = None,
 ) -> bool:
     """Whether (a)–(c) are proved in a box of all states, on the whole space for None.
 
-    For the whole space only rows that are constant count. False means: not proved.
+    For the whole space only rows that are free of states count; `constants` is then a box of what
+    else the loop depends on. False means: not proved.
     """
     loop = design.loop
-    whole = place is None
-    if whole and loop.J.free_symbols:
+    whole, states = place is None, set(loop.z)
+    if whole and loop.J.free_symbols & states:
         return False
-    place = place or OverBox(loop.z, Interval(np.zeros(loop.n), np.zeros(loop.n)))
+    nowhere = Interval(np.zeros(loop.n), np.zeros(loop.n))
+    place = place or constants or OverBox(loop.z, nowhere)
     visible = [
         row
         for row in sp.Matrix.vstack(sp.Matrix(loop.ports.T), sp.Matrix(loop.R)).tolist()
-        if any(row) and not (whole and sp.Matrix([row]).free_symbols)
+        if any(row) and not (whole and sp.Matrix([row]).free_symbols & states)
     ]
     visible.sort(key=lambda row: bool(sp.Matrix([row]).free_symbols))
     Z = sp.Matrix(visible)

@@ -1,8 +1,10 @@
 /* fmu.c: the controller of necc.h as an FMI 2.0 co-simulation unit.
  *
- * Inputs x, outputs u, xi, the margin (see necc.h) and flags. u follows x at once: it is the law at the present x and xi.
- * fmi2DoStep(h) is one necc_step, with dt what passed since the last; xi is that of the present. Value references: x, u, xi, margin; Integer 0 is
- * flags; Boolean 0 tells whether xi starts at the minimum of V(x, .); if not, it starts @otherwise@.
+ * Inputs x and the target, outputs u, xi, zeta, the margin (see necc.h) and flags; parameters may be
+ * told at any time. u follows x at once: it is the law at the present x and xi. fmi2DoStep(h) is one
+ * necc_step, with dt what passed since the last; xi is that of the present. Value references: x, u,
+ * xi, zeta, margin, target, parameters; Integer 0 is flags, 1 what becomes of xi (necc_set_switch);
+ * Boolean 0 tells whether xi starts at the minimum of V(x, .); if not, it starts @otherwise@.
  */
 #include "necc.h"
 
@@ -10,8 +12,14 @@
 #include <string.h>
 
 #define GUID "@guid@"
+/* Value references of the first of each kind. */
+#define ZETA (NECC_NX + NECC_NU + NECC_NXI)
+#define MARGIN (ZETA + NECC_HAS_INTEGRAL * NECC_NU)
+#define TARGETS (MARGIN + NECC_HAS_MARGIN)
 #if NECC_HAS_TARGET
-#define TARGETS (NECC_NX + NECC_NU + NECC_NXI) /* value reference of the first; no zeta, no margin */
+#define PARAMETERS (TARGETS + NECC_NR)
+#else
+#define PARAMETERS TARGETS
 #endif
 
 #if defined(_WIN32)
@@ -48,9 +56,13 @@ typedef struct {
 #if NECC_HAS_TARGET
     necc_real target[NECC_NR]; /* commanded; the state has the one that is applied */
 #endif
+#if NECC_HAS_PARAMETER
+    necc_real parameters[NECC_NTHETA]; /* told; taken with the next sample */
+#endif
     necc_real since; /* the last sample, s */
     int flags;
     int start_at_minimum;
+    int how; /* what becomes of xi where the target or a parameter changes */
     void *(*allocate)(size_t, size_t);
     void (*release)(void *);
 } instance;
@@ -66,6 +78,10 @@ static void set_defaults(instance *self)
 #if NECC_HAS_TARGET
     necc_get_target(&self->state, self->target);
 #endif
+#if NECC_HAS_PARAMETER
+    necc_get_parameter(&self->state, self->parameters);
+#endif
+    self->how = 0;
 }
 
 FUNCTION(fmi2String, fmi2GetTypesPlatform, void) { return "default"; }
@@ -137,17 +153,24 @@ FUNCTION(fmi2Status, fmi2Reset, fmi2Component c)
     return fmi2OK;
 }
 
-/* One sample of a state at the present x; where set-points move, for the one that is applied. */
+/* One sample of a state at the present x, for the set-point and the parameters that are applied. */
 static int sample(const instance *self, necc_state *state, necc_real u[NECC_NU])
 {
     int flags = necc_step(state, self->x, u, self->since);
+#if NECC_HAS_TARGET || NECC_HAS_PARAMETER
+    int added = NECC_OK;
+    if (flags & NECC_REJECTED)
+        return flags;
+    necc_set_switch(state, self->how);
+#if NECC_HAS_PARAMETER
+    added |= necc_set_parameter(state, self->parameters);
+#endif
 #if NECC_HAS_TARGET
-    if (!(flags & NECC_REJECTED)) {
-        flags = necc_set_target(state, self->x, self->target);
-        if (flags & NECC_REJECTED)
-            flags = NECC_OUTSIDE; /* a command that is no number */
-        flags |= necc_step(state, self->x, u, (necc_real)0);
-    }
+    added |= necc_set_target(state, self->x, self->target);
+#endif
+    if (added & NECC_REJECTED) /* a command that is no number */
+        added = (added & ~NECC_REJECTED) | NECC_OUTSIDE;
+    flags = added | necc_step(state, self->x, u, (necc_real)0);
 #endif
     return flags;
 }
@@ -190,16 +213,20 @@ FUNCTION(fmi2Status, fmi2GetReal, fmi2Component c, const fmi2ValueReference vr[]
         else if (r < NECC_NX + NECC_NU + NECC_NXI)
             value[i] = (double)now.xi[r - NECC_NX - NECC_NU];
 #if NECC_HAS_INTEGRAL
-        else if (r < NECC_NX + 2 * NECC_NU + NECC_NXI)
-            value[i] = (double)now.zeta[r - NECC_NX - NECC_NU - NECC_NXI];
+        else if (r < MARGIN)
+            value[i] = (double)now.zeta[r - ZETA];
 #endif
 #if NECC_HAS_MARGIN
-        else if (r == NECC_NX + NECC_NU + NECC_NXI)
-            value[i] = (double)necc_margin(self->x, now.xi);
+        else if (r == MARGIN)
+            value[i] = (double)necc_margin(&now, self->x);
 #endif
 #if NECC_HAS_TARGET
         else if (r >= TARGETS && r < TARGETS + NECC_NR)
             value[i] = (double)self->target[r - TARGETS];
+#endif
+#if NECC_HAS_PARAMETER
+        else if (r >= PARAMETERS && r < PARAMETERS + NECC_NTHETA)
+            value[i] = (double)self->parameters[r - PARAMETERS];
 #endif
         else
             return fmi2Error;
@@ -219,6 +246,12 @@ FUNCTION(fmi2Status, fmi2SetReal, fmi2Component c, const fmi2ValueReference vr[]
             continue;
         }
 #endif
+#if NECC_HAS_PARAMETER
+        if (vr[i] >= PARAMETERS && vr[i] < PARAMETERS + NECC_NTHETA) {
+            self->parameters[vr[i] - PARAMETERS] = (necc_real)value[i];
+            continue;
+        }
+#endif
         if (vr[i] >= NECC_NX)
             return fmi2Error;
         self->x[vr[i]] = (necc_real)value[i];
@@ -231,9 +264,21 @@ FUNCTION(fmi2Status, fmi2GetInteger, fmi2Component c, const fmi2ValueReference v
 {
     size_t i;
     for (i = 0; i < n; ++i) {
-        if (vr[i] != 0)
+        if (vr[i] > 1)
             return fmi2Error;
-        value[i] = ((const instance *)c)->flags;
+        value[i] = vr[i] == 0 ? ((const instance *)c)->flags : ((const instance *)c)->how;
+    }
+    return fmi2OK;
+}
+
+FUNCTION(fmi2Status, fmi2SetInteger, fmi2Component c, const fmi2ValueReference vr[], size_t n,
+         const fmi2Integer value[])
+{
+    size_t i;
+    for (i = 0; i < n; ++i) {
+        if (vr[i] != 1)
+            return fmi2Error;
+        ((instance *)c)->how = value[i];
     }
     return fmi2OK;
 }
@@ -271,7 +316,6 @@ FUNCTION(fmi2Status, fmi2SetBoolean, fmi2Component c, const fmi2ValueReference v
     }
 NOTHING(fmi2GetString, fmi2String)
 NOTHING(fmi2SetString, const fmi2String)
-NOTHING(fmi2SetInteger, const fmi2Integer)
 
 FUNCTION(fmi2Status, fmi2GetFMUstate, fmi2Component c, void **saved)
 {

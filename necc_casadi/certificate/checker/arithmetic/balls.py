@@ -12,7 +12,7 @@ from functools import reduce
 import sympy as sp
 from flint import arb, fmpq
 
-__all__ = ["Box", "ball", "by_bisection", "ends", "evaluate", "meet", "times"]
+__all__ = ["Box", "ball", "by_bisection", "ends", "evaluate", "meet", "times", "widths"]
 
 
 #: A box: one (lo, hi) of doubles per coordinate.
@@ -132,20 +132,32 @@ def meet(a: arb, b: arb) -> arb:
 
 
 def by_bisection(
-    box: Box, test: Callable[[Box], bool], depth: int, counts: Sequence[bool] | None = None
+    box: Box,
+    test: Callable[[Box], bool],
+    depth: int,
+    counts: Sequence[bool] | None = None,
+    sizes: Sequence[float] | None = None,
 ) -> bool:
-    """Whether `test` holds on pieces that cover a box; only sides that count are halved."""
+    """Whether `test` holds on pieces that cover a box; only sides that count are halved.
+
+    The longest side is, by `sizes` where the sides are in different units.
+    """
     if test(box):
         return True
-    widths = [hi - lo for lo, hi in box]
+    sides = widths(box)
+    if sizes is not None:
+        sides = [w / s if s > 0 else 0.0 for w, s in zip(sides, sizes, strict=True)]
     if counts is not None:
-        widths = [w if c else 0.0 for w, c in zip(widths, counts, strict=True)]
-    k = max(range(len(box)), key=widths.__getitem__, default=-1)
-    if depth == 0 or k < 0 or widths[k] <= 0:
+        sides = [w if c else 0.0 for w, c in zip(sides, counts, strict=True)]
+    k = max(range(len(box)), key=sides.__getitem__, default=-1)
+    if depth == 0 or k < 0 or sides[k] <= 0:
         return False
     lo, hi = box[k]
     middle = lo / 2 + hi / 2
-    halves = ((lo, middle), (middle, hi))
-    return all(
-        by_bisection((*box[:k], half, *box[k + 1 :]), test, depth - 1, counts) for half in halves
-    )
+    halves = ((*box[:k], side, *box[k + 1 :]) for side in ((lo, middle), (middle, hi)))
+    return all(by_bisection(half, test, depth - 1, counts, sizes) for half in halves)
+
+
+def widths(box: Box) -> list[float]:
+    """The lengths of the sides, as sizes of its pieces."""
+    return [hi - lo for lo, hi in box]

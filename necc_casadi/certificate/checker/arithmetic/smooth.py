@@ -73,24 +73,38 @@ def _fails_in(demand: Condition, symbols: Sequence[sp.Symbol], box: Box) -> bool
     return below and (demand.positive or above)
 
 
-def is_smooth_everywhere(expressions: Iterable[sp.Expr], symbols: Sequence[sp.Symbol]) -> bool:
-    """Whether every part of the expressions is proved to be smooth for all real values."""
+def is_smooth_everywhere(
+    expressions: Iterable[sp.Expr],
+    symbols: Sequence[sp.Symbol],
+    within: Mapping[sp.Symbol, tuple[float, float]] | None = None,
+) -> bool:
+    """Whether every part of the expressions is proved to be smooth for all real values.
+
+    What else than the symbols they contain stays `within` its range.
+    """
     demands = conditions(expressions)
     if demands is None:
         return False
-    return all(_holds_everywhere(demand, symbols) for demand in demands)
+    return all(_holds_everywhere(demand, symbols, within or {}) for demand in demands)
 
 
-def _holds_everywhere(demand: Condition, symbols: Sequence[sp.Symbol]) -> bool:
+def _holds_everywhere(
+    demand: Condition,
+    symbols: Sequence[sp.Symbol],
+    within: Mapping[sp.Symbol, tuple[float, float]],
+) -> bool:
     """One period stands for the symbols of which only sines and cosines occur."""
     turning = sorted(periodic([demand], symbols), key=str)
+    ranges = [s for s in within if demand.part.has(s)]
+    cut = [*turning, *ranges]
 
     def test(part: Box) -> bool:
-        sides = {s: (arb(lo), arb(hi)) for s, (lo, hi) in zip(turning, part, strict=True)}
+        sides = {s: (arb(lo), arb(hi)) for s, (lo, hi) in zip(cut, part, strict=True)}
         lo, hi = _range(demand.part, sides)
         return bool(lo > 0) or (not demand.positive and bool(hi < 0))
 
-    return by_bisection(tuple(_PERIOD for _ in turning), test, _DEPTH)
+    whole = (*(_PERIOD for _ in turning), *(within[s] for s in ranges))
+    return by_bisection(whole, test, _DEPTH)
 
 
 def _range(expr: sp.Expr, sides: Mapping[sp.Symbol, Range]) -> Range:

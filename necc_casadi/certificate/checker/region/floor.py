@@ -16,7 +16,7 @@ from necc_casadi.certificate.checker.arithmetic.potential import Energy
 from necc_casadi.certificate.claims.regions import Bends
 from necc_casadi.symbolic.zero import is_zero
 
-__all__ = ["FloorProof", "evaluated", "is_periodic"]
+__all__ = ["FloorProof", "evaluated", "is_periodic", "network_floor"]
 
 #: Half a period, a little more than π; how often a box of angles, and one of s and e, may be
 #: halved.
@@ -46,8 +46,8 @@ class FloorProof:
         N = sp.Matrix([[sp.diff(c, v) for v in e] for c in model.casimirs])
         if N.has(*e):
             return False
-        below_hc = _below(self.energy.hc, model.form["hc"], self.bends[0])
-        K = _below(self.energy.k, model.form["k"], self.bends[1])
+        below_hc = network_floor(self.energy.hc, model.form["hc"], self.bends[0])
+        K = network_floor(self.energy.k, model.form["k"], self.bends[1])
         if below_hc is None or K is None:
             return False
         below = self._of_controller(below_hc)
@@ -111,7 +111,7 @@ def is_periodic(entry: sp.Expr, symbol: sp.Symbol) -> bool:
     return plain and is_zero(entry.subs(symbol, symbol + 2 * sp.pi) - entry) is True
 
 
-def _below(net: Net, shape: Mapping[str, Any], bend: float | None) -> arb_mat | None:
+def network_floor(net: Net, shape: Mapping[str, Any], bend: float | None) -> arb_mat | None:
     """A matrix ⪯ ∇²f of a network for all arguments; None where a claimed bend is not proved."""
     if bend is None:
         return hessian_floor(net, shape["activation"])

@@ -6,7 +6,7 @@ parts of the original expressions are looked at before any derivative is.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from itertools import product
 
 import numpy as np
@@ -49,21 +49,32 @@ def is_smooth_on(
     return all(_holds(demand, sides, set(symbols)) for demand in demands)
 
 
-def is_smooth_everywhere(expressions: Iterable[sp.Expr], symbols: Sequence[sp.Symbol]) -> bool:
+def is_smooth_everywhere(
+    expressions: Iterable[sp.Expr],
+    symbols: Sequence[sp.Symbol],
+    within: Mapping[sp.Symbol, Interval] | None = None,
+) -> bool:
     """Whether every part of the expressions is proved to be smooth for all real values.
 
     Symbols of which only sines and cosines occur are cut into cells of one period; the others
-    are unbounded intervals.
+    are unbounded intervals. What else the expressions contain stays `within` its range.
     """
     demands = conditions(expressions)
-    return demands is not None and all(holds_everywhere(demand, symbols) for demand in demands)
+    return demands is not None and all(
+        holds_everywhere(demand, symbols, within) for demand in demands
+    )
 
 
-def holds_everywhere(demand: Condition, symbols: Sequence[sp.Symbol]) -> bool:
+def holds_everywhere(
+    demand: Condition,
+    symbols: Sequence[sp.Symbol],
+    within: Mapping[sp.Symbol, Interval] | None = None,
+) -> bool:
     """Whether one condition is proved for all real values."""
     line, period = Interval(np.array(-np.inf), np.array(np.inf)), Interval(*map(np.array, _PERIOD))
-    turning = periodic([demand], symbols)
-    return _holds(demand, {s: period if s in turning else line for s in symbols}, turning)
+    turning, ranges = periodic([demand], symbols), dict(within or {})
+    sides = {s: period if s in turning else line for s in symbols} | ranges
+    return _holds(demand, sides, turning | set(ranges))
 
 
 def ends_at(
