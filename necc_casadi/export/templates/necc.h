@@ -69,7 +69,8 @@ int necc_output(necc_state *state, const necc_real x[NECC_NX], necc_real u[NECC_
 
 /* xi advances over dt with the x of the last sample held (@integrator_name@); before the
  * first sample nothing does. The dynamics of xi use x alone, so that a clipped u does not wind
- * them up. What rounding takes away from xi is kept and added the next time. */
+ * them up. What rounding takes away from xi is kept and added the next time. One call for each
+ * period: what is proved of the sampled loop is not proved of several. */
 int necc_update(necc_state *state, necc_real dt);
 
 /* One sample: necc_update over dt, then necc_output. dt is the time since the last sample, 0 at the

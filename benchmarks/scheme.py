@@ -1,10 +1,12 @@
-"""Where the sampled loop comes to rest in `float`, with and without what rounding leaves of ξ.
+"""How ξ is advanced: what rounding leaves of it, and several steps of the method in one period.
 
-    python benchmarks/float_loop.py [--seconds S] [--starts N]
+    python benchmarks/scheme.py [--seconds S] [--starts N]
 
 The compiled controller of the pendulum at π/4 and an integrator of the plant in double, x measured
-in the type of the controller; the largest distance from z̄ in the last fifth of the run. "Without"
-compiles the same code with the rest thrown away.
+in the type of the controller. First the largest distance from z̄ in the last fifth of the run, in
+`float` with and without what rounding leaves of ξ; "without" compiles the same code with the rest
+thrown away. Then how many starts arrive where a long period is divided among several calls of
+``necc_update``.
 """
 
 from __future__ import annotations
@@ -18,14 +20,15 @@ from pathlib import Path
 import numpy as np
 
 from necc_casadi import design, export_c, find_casimirs, judge, load_model, parse_target
+from necc_casadi.export.sampled_loop import largest_stable_time
 
 HERE = Path(__file__).parent
 LOOP = """
 #include "necc.c"
 #include <math.h>
 /* Farthest from (q, xi) = (@q, @xi) in the last fifth of `steps` periods T. */
-double run(double q, double p, double T, long steps, const double *rest);
-double run(double q, double p, double T, long steps, const double *rest)
+double run(double q, double p, double T, long steps, int updates, const double *rest);
+double run(double q, double p, double T, long steps, int updates, const double *rest)
 {
     necc_state state;
     double worst = 0;
@@ -35,11 +38,13 @@ double run(double q, double p, double T, long steps, const double *rest)
     for (long step = 0; step < steps; ++step) {
         const necc_real x[2] = {(necc_real)q, (necc_real)p};
         necc_real u[1];
-        necc_step(&state, x, u, (necc_real)(step == 0 ? 0 : T));
+        necc_output(&state, x, u);
         if (5 * step > 4 * steps) {
             const double d = fabs(q - rest[0]) + fabs(p) + fabs((double)state.xi[0] - rest[1]);
             worst = d > worst ? d : worst;
         }
+        for (int i = 0; i < updates; ++i)
+            necc_update(&state, (necc_real)(T / updates));
         for (int i = 0; i < inner; ++i) { /* leapfrog: q, p with u held */
             p += h / 2 * ((double)u[0] - sin(q));
             q += h * p;
@@ -67,7 +72,7 @@ def compiled(folder: Path, made, real: str, kept: bool) -> ctypes.CDLL:
     subprocess.run([*command, str(folder / "loop.c"), "-o", str(target), "-lm"], check=True)
     library = ctypes.CDLL(str(target))
     library.run.restype = ctypes.c_double
-    library.run.argtypes = [ctypes.c_double] * 3 + [ctypes.c_long, ctypes.c_void_p]
+    library.run.argtypes = [ctypes.c_double] * 3 + [ctypes.c_long, ctypes.c_int, ctypes.c_void_p]
     return library
 
 
@@ -93,9 +98,25 @@ def main() -> None:
             for library in loops:
                 rng = np.random.default_rng(0)
                 starts = rng.uniform([0.2, -0.5], [1.4, 0.5], (options.starts, 2))
-                runs = [library.run(q, p, period, steps, rest.ctypes.data) for q, p in starts]
+                runs = [library.run(q, p, period, steps, 1, rest.ctypes.data) for q, p in starts]
                 cells.append(f"{max(runs):.1e}")
             print(f"| {period:g} | " + " | ".join(cells) + " |")
+        report_updates(loops[-1], rest, largest_stable_time(made))
+
+
+def report_updates(library: ctypes.CDLL, rest: np.ndarray, limit: float | None) -> None:
+    """Starts of a hundred that are within 1e-6 after 200 s, by the number of updates."""
+    counts = (1, 2, 4, 8)
+    print(f"\nlocal limit with one update: {limit:.3g} s" if limit else "\nno local limit")
+    print("| T, s | " + " | ".join(f"{m} updates" for m in counts) + " |")
+    print("|---|" + "---|" * len(counts))
+    starts = np.random.default_rng(0).uniform([0.2, -0.5], [1.4, 0.5], (100, 2))
+    for period in (0.2, 0.6, 1.0, 1.2, 1.4, 1.6, 2.0):
+        steps, cells = int(200 / period), []
+        for updates in counts:
+            ends = [library.run(q, p, period, steps, updates, rest.ctypes.data) for q, p in starts]
+            cells.append(str(sum(end < 1e-6 for end in ends)))
+        print(f"| {period:g} | " + " | ".join(cells) + " |")
 
 
 if __name__ == "__main__":
