@@ -28,7 +28,7 @@ def designed(cost=1.5, arrivals=STARTS, *, whole=False, proved=True, share=0.5, 
         starts=np.zeros((STARTS, 1)),
         elsewhere=(),
     )
-    plant = SimpleNamespace(m=1, u_limits=((-1, 1),))
+    plant = SimpleNamespace(m=1, u_limits=((-1, 1),), input_names=("u",))
     return SimpleNamespace(
         proved=proved,
         whole=whole,
