@@ -23,7 +23,7 @@ from necc_casadi.export.source import Source
 from necc_casadi.export.targets import target_code
 from necc_casadi.export.templating import fill, indent
 
-__all__ = ["controller"]
+__all__ = ["c_networks", "controller"]
 
 
 #: Body of ``necc_start`` where ξ does not start along with x(0).
@@ -35,7 +35,7 @@ _START = {
 
 def controller(source: Source) -> str:
     """The text of ``necc.c``."""
-    networks, real = _networks(source), source.number
+    networks, real = c_networks(source), source.number
     saturation = _saturation(source)
     text = fill(
         "necc.c",
@@ -80,7 +80,8 @@ def _integral(source: Source) -> dict[str, str]:
     }
 
 
-def _networks(source: Source) -> list[CNetwork]:
+def c_networks(source: Source) -> list[CNetwork]:
+    """The networks of the design in the layout of the code."""
     form = source.design.form
     names = ["hc", "k", *(f"beta{i + 1}" for i in range(len(form.betas)))]
     names += ["phi"] if source.neural_phi else []
@@ -178,7 +179,7 @@ def _casimir(source: Source) -> tuple[list[str], list[str]]:
     variables, body = [f"necc_real hc_value, casimir, c[{r}];"], ["casimirs(x, xi, c);"]
     if not source.design.form.betas:
         return variables, [*body, "casimir = k_network(c, s->gamma);"]
-    terms = " + ".join(f"beta{i + 1}_network(c + {i}, s->gamma + {i})" for i in range(r))
+    terms = " + ".join(f"beta{i + 1}_network(&c[{i}], &s->gamma[{i}])" for i in range(r))
     scale = [f"s->gamma[{i}] *= slope;" for i in range(r)]
     return (
         [*variables, "necc_real sum, slope;"],

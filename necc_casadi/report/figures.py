@@ -75,6 +75,10 @@ _AFTER = 0.25
 _WITHIN = 0.95
 
 
+#: Height of a line of a title, in inches.
+_LINE = 0.17
+
+
 #: A state that travels less than this, in sizes, is at rest.
 _STILL = 1e-6
 
@@ -193,14 +197,14 @@ def region_figure(
 
     Responses leave the slice because ξ moves, but not the shadow.
     """
-    figure = panels(1, 1, (5.45, 4.1), legend=0.85)
-    axis = figure.add_subplot()
-    draw_region(axis, design, level, responses, reach, obstacle)
-    figure.legend(loc="lower center", ncols=2, fontsize=8)
     domain = domain_window(design)
     window, edge = _window(design, level, _telling_sides(design, reach))
     low, high = edge.min(axis=0), edge.max(axis=0)
     goes_on = (low < window.lo).any() or (high > window.hi).any()
+    figure = panels(1, 1, (5.45, 4.1), legend=0.85, above=_LINE if goes_on else 0.0)
+    axis = figure.add_subplot()
+    draw_region(axis, design, level, responses, reach, obstacle)
+    figure.legend(loc="lower center", ncols=2, fontsize=8)
     title = f"{design.loop.plant.name}: proved region Ω"
     title += f"\nΩ: {_extent(design, low, high)}" if goes_on else ""
     shown = _extent(design, domain.lo, domain.hi)  # Ω may be a small part

@@ -116,7 +116,9 @@ def _family(found: Findings) -> dict[str, Any] | None:
         return None
     from necc_casadi.certificate.claims.family import off_target, proved_share
 
-    claim, everywhere = (held_claim(found.certificate, name) for name in ("family", "everywhere"))
+    claim, everywhere, regions = (
+        held_claim(found.certificate, name) for name in ("family", "everywhere", "members")
+    )
     data = None if claim is None else claim.data
 
     def ranges(kind: Kind) -> dict[str, list[float]]:
@@ -133,6 +135,8 @@ def _family(found: Findings) -> dict[str, Any] | None:
         "boxes": None if data is None else len(data["boxes"]),
         "proved_share": 0.0 if data is None else proved_share(data),
         "left": None if data is None else [[list(v) for v in box] for box in data["left"]],
+        "common_share": None if regions is None else regions.data["share"],
+        "step": None if regions is None else dict(regions.data["step"]),
         "global": None if everywhere is None else everywhere.data["follows"],
     }
 

@@ -45,7 +45,7 @@ __all__ = [
 
 
 #: Constants with more letters than this are said in decimals alone.
-_LONG_CONSTANT = 40
+_LONG_CONSTANT = 24
 
 
 #: Columns of a page, of the labels, and of the labels inside a block.
@@ -76,7 +76,7 @@ _INTEGRAL = (
 
 
 #: Claims that no exit code rests on.
-_OPTIONAL_CLAIMS = ("global", "everywhere", "input_limits", "clipping", "momenta")
+_OPTIONAL_CLAIMS = ("global", "everywhere", "members", "input_limits", "clipping", "momenta")
 
 
 #: Lists of more states than this are shortened in the text, never in the JSON.
@@ -348,8 +348,14 @@ def _takes_integral(design: Design | None) -> bool:
 
 def target_text(found: Findings) -> str:
     """The target on one line, without units."""
-    plain = [f"{s} = {sp.sstr(found.x_star[s])}" for s in found.system.x[:_MANY]]
+    plain = [f"{s} = {_short(found.x_star[s])}" for s in found.system.x[:_MANY]]
     return ", ".join(plain) + (", …" if found.system.n > _MANY else "")
+
+
+def _short(value: sp.Expr) -> str:
+    """A number exactly, unless that is as long as a float's ratio."""
+    exactly = str(sp.sstr(value))
+    return exactly if len(exactly) <= _LONG_CONSTANT else f"{to_float(value):.6g}"
 
 
 def _target(found: Findings) -> str:

@@ -64,9 +64,11 @@ static void rate(const necc_real x[NECC_NX], const necc_real xi[NECC_NXI],
 static int all_finite(const necc_real *v, int count)
 {
     int i;
-    for (i = 0; i < count; ++i)
-        if (!isfinite(v[i]))
+    for (i = 0; i < count; ++i) {
+        if (!isfinite(v[i])) {
             return 0;
+        }
+    }
     return 1;
 }
 
@@ -77,8 +79,8 @@ static int all_finite(const necc_real *v, int count)
 void necc_init(necc_state *state)
 {
     static const necc_real xi[NECC_NXI] = {@xi_star@};
-    memset(state, 0, sizeof *state);
-    memcpy(state->xi, xi, sizeof xi);@reset_target@
+    (void)memset(state, 0, sizeof *state);
+    (void)memcpy(state->xi, xi, sizeof xi);@reset_target@
 }
 
 @init_at@
@@ -100,15 +102,16 @@ static void accumulate(necc_real *sum, necc_real *rest, necc_real change)
 @integral@
 int necc_update(necc_state *state, necc_real dt)
 {
-    necc_state next = *state;
+    necc_state next;
     necc_real change[NECC_NXI];
     int i;
-    if (!(dt >= R(0.0)) || !isfinite(dt) || !all_finite(state->xi, NECC_NXI)) {
+    if (!(dt >= R(0.0)) || !isfinite(dt) || all_finite(state->xi, NECC_NXI) == 0) {
         return NECC_REJECTED;
     }
     if (state->sampled == 0) {
         return NECC_OK;
     }
+    next = *state;
     if (next.moved != 0) {
         rate(next.x, next.xi, next.xidot);
     }
@@ -118,37 +121,47 @@ int necc_update(necc_state *state, necc_real dt)
     }
     next.moved = 1;
     @integrate@
-    if (!all_finite(next.xi, NECC_NXI)) {
+    if (all_finite(next.xi, NECC_NXI) == 0) {
         return NECC_REJECTED;
     }
     *state = next;
     return NECC_OK;
 }
 
+static void no_input(necc_real u[NECC_NU])
+{
+    int i;
+    for (i = 0; i < NECC_NU; ++i) {
+        u[i] = R(0.0);
+    }
+}
+
 int necc_output(necc_state *state, const necc_real x[NECC_NX], necc_real u[NECC_NU])
 {
     necc_real v[NECC_NU], xidot[NECC_NXI];@counter@@held@
-    memset(u, 0, NECC_NU * sizeof *u);
-    if (!all_finite(x, NECC_NX) || !all_finite(state->xi, NECC_NXI)) {
+    no_input(u);
+    if (all_finite(x, NECC_NX) == 0 || all_finite(state->xi, NECC_NXI) == 0) {
         return NECC_REJECTED;
     }
     @see@necc_control(@at@, state->xi, v, xidot);@subtract@@forward@
-    if (!all_finite(v, NECC_NU) || !all_finite(xidot, NECC_NXI)) {
+    if (all_finite(v, NECC_NU) == 0 || all_finite(xidot, NECC_NXI) == 0) {
         return NECC_REJECTED;
     }
-    memcpy(state->x, @at@, sizeof state->x);
-    memcpy(state->xidot, xidot, sizeof xidot);
+    (void)memcpy(state->x, @at@, sizeof state->x);
+    (void)memcpy(state->xidot, xidot, sizeof xidot);
     state->sampled = 1;
     state->moved = 0;
-    memcpy(u, v, sizeof v);
+    (void)memcpy(u, v, sizeof v);
     return @saturate@;
 }
 
 int necc_step(necc_state *state, const necc_real x[NECC_NX], necc_real u[NECC_NU], necc_real dt)
 {
-    necc_state next = *state;
-    int flags = necc_update(&next, dt);
-    memset(u, 0, NECC_NU * sizeof *u);
+    necc_state next;
+    int flags;
+    no_input(u);
+    next = *state;
+    flags = necc_update(&next, dt);
     if (flags == NECC_OK) {
         flags = necc_output(&next, x, u);
     }

@@ -6,8 +6,11 @@
 /* w.v for columns in whole sixteens, in sixteen partial sums that are then added in halves. */
 static necc_real dot(const necc_real *restrict w, int columns, const necc_real *restrict v)
 {
-    necc_real sum[16] = {R(0.0)};
+    necc_real sum[16];
     int p, k;
+    for (k = 0; k < 16; ++k) {
+        sum[k] = R(0.0);
+    }
     for (p = 0; p < columns; p += 16) {
         for (k = 0; k < 16; ++k) {
             sum[k] += w[p + k] * v[p + k];

@@ -4,7 +4,7 @@ static void advance(const necc_state *s, necc_real dt, necc_real change[NECC_NXI
     static const necc_real fraction[3] = {R(0.5), R(0.5), R(1.0)};
     necc_real k[4][NECC_NXI], trial[NECC_NXI];
     int i, stage;
-    memcpy(k[0], s->xidot, sizeof k[0]);
+    (void)memcpy(k[0], s->xidot, sizeof k[0]);
     for (stage = 0; stage < 3; ++stage) {
         for (i = 0; i < NECC_NXI; ++i) {
             trial[i] = s->xi[i] + dt * fraction[stage] * k[stage][i];

@@ -8,7 +8,7 @@ static void activate_sin(necc_real *restrict a, necc_real *restrict slope)
     const double shift = 6755399441055744.0;
     int k, large = 0;
     for (k = 0; k < LANES; ++k) {
-        large |= fabs(a[k]) > 1e6;
+        large |= (fabs(a[k]) > 1e6) ? 1 : 0;
     }
     if (large != 0) {
         for (k = 0; k < LANES; ++k) {
@@ -32,9 +32,9 @@ static void activate_sin(necc_real *restrict a, necc_real *restrict slope)
             + s * (-1.0 / 87178291200.0 + s * (1.0 / 20922789888000.0))))))));
         double value, other;
         scale.number = rounded;
-        value = (scale.bits & 1u) != 0 ? cosine : sine;
-        other = (scale.bits & 1u) != 0 ? sine : cosine;
-        a[k] = (scale.bits & 2u) != 0 ? -value : value;
-        slope[k] = ((scale.bits + 1u) & 2u) != 0 ? -other : other;
+        value = (scale.bits & 1u) != 0u ? cosine : sine;
+        other = (scale.bits & 1u) != 0u ? sine : cosine;
+        a[k] = (scale.bits & 2u) != 0u ? -value : value;
+        slope[k] = ((scale.bits + 1u) & 2u) != 0u ? -other : other;
     }
 }

@@ -8,7 +8,7 @@ static void activate_sin(necc_real *restrict a, necc_real *restrict slope)
     const float shift = 12582912.0f;
     int k, large = 0;
     for (k = 0; k < LANES; ++k) {
-        large |= fabsf(a[k]) > 5000.0f;
+        large |= (fabsf(a[k]) > 5000.0f) ? 1 : 0;
     }
     if (large != 0) {
         for (k = 0; k < LANES; ++k) {
@@ -29,9 +29,9 @@ static void activate_sin(necc_real *restrict a, necc_real *restrict slope)
             + s * (1.0f / 40320.0f))));
         float value, other;
         scale.number = rounded;
-        value = (scale.bits & 1u) != 0 ? cosine : sine;
-        other = (scale.bits & 1u) != 0 ? sine : cosine;
-        a[k] = (scale.bits & 2u) != 0 ? -value : value;
-        slope[k] = ((scale.bits + 1u) & 2u) != 0 ? -other : other;
+        value = (scale.bits & 1u) != 0u ? cosine : sine;
+        other = (scale.bits & 1u) != 0u ? sine : cosine;
+        a[k] = (scale.bits & 2u) != 0u ? -value : value;
+        slope[k] = ((scale.bits + 1u) & 2u) != 0u ? -other : other;
     }
 }
