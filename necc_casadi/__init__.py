@@ -50,6 +50,7 @@ if TYPE_CHECKING:  # what _HOME says, for tools that do not run the code
     from necc_casadi.model.plant import Plant as Plant
     from necc_casadi.model.plant import make_plant as make_plant
     from necc_casadi.model.target import parse_target as parse_target
+    from necc_casadi.model.urdf import read_urdf as read_urdf
     from necc_casadi.pipeline.call import run as run
     from necc_casadi.pipeline.given import RunOptions as RunOptions
     from necc_casadi.pipeline.result import Result as Result
@@ -90,6 +91,7 @@ _HOME = {
     "make_plant": "model.plant",
     "paper_options": "synthesis.options",
     "parse_target": "model.target",
+    "read_urdf": "model.urdf",
     "run": "pipeline.call",
     "simulate": "simulation.responses",
 }

@@ -231,7 +231,7 @@ PUBLIC = [
     "Result", "RunOptions", "Trajectory", "Verdict", "__version__", "certify", "choose", "design",
     "export_c", "find_casimirs", "interconnect", "judge", "load_model", "make_controller",
     "make_model", "make_plant", "paper_options",
-    "parse_target", "run", "simulate",
+    "parse_target", "read_urdf", "run", "simulate",
 ]  # fmt: skip
 
 

@@ -44,6 +44,8 @@ PAGES = {
 CONTRACT = PAGES[DOCS / "contract.md"]
 #: The model file of the README, which the documents call the pendulum.
 PENDULUM = PAGES[ROOT / "README.md"].split("```python\n")[1].split("```")[0]
+#: The arm in URDF of the page on mechanical plants.
+URDF = PAGES[DOCS / "how-to-mechanical.md"].split("```xml\n")[1].split("```")[0]
 
 
 def section(page: str, title: str) -> str:
@@ -436,6 +438,7 @@ PUBLIC = [name for name in necc_casadi.__all__ if name != "__version__"]
 def test_examples_of_public_names_run(name, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     Path("pendulum.py").write_text(PENDULUM, encoding="utf-8")
+    Path("arm.urdf").write_text(URDF, encoding="utf-8")
     home = importlib.import_module(f"necc_casadi.{necc_casadi._HOME[name]}")
     found = doctest.DocTestFinder(recurse=False).find(getattr(home, name), name, home, globs={})
     (example,) = found

@@ -78,7 +78,7 @@ def test_model_and_python_code_of_the_readme(designed, monkeypatch):
     folder, _ = designed
     (model,) = blocks("python")
     assert model in blocks("python", "docs/start.md")
-    (arm,) = blocks("python", "docs/how-to-mechanical.md")
+    arm, _ = blocks("python", "docs/how-to-mechanical.md")
     usage, notebook = blocks("python", "docs/python.md")
     (folder / "own.py").write_text(model)
     done = run("necc-design own.py --target q=pi/4 --check", folder)

@@ -109,6 +109,19 @@ def test_the_model_of_the_data_sheet_is_that_of_the_example(tmp_path):
     assert run(own, check=True).status == "assignable"
 
 
+def test_the_arm_in_urdf_is_a_model_and_one_that_a_model_file_may_read(tmp_path):
+    (text,), (_, own) = (
+        blocks("how-to-mechanical.md", "xml"),
+        blocks("how-to-mechanical.md", "python"),
+    )
+    (tmp_path / "arm.urdf").write_text(text, encoding="utf-8")
+    (tmp_path / "own.py").write_text(own, encoding="utf-8")
+    alone, model = load_model(tmp_path / "arm.urdf"), load_model(tmp_path / "own.py")
+    assert model.system.H == alone.system.H
+    assert list(model.ranges.uncertain) == ["m_lower"]
+    assert run(tmp_path / "arm.urdf", "shoulder=0.5,elbow=1", check=True).status == "assignable"
+
+
 def test_commands_on_the_pages_have_options_that_exist():
     """Every line that begins with a command of ours is parsed by it, and run no further."""
     from click import Command

@@ -34,6 +34,7 @@ from necc_casadi.choice.judged import Judged, Name, Trial, cost_ratio
 from necc_casadi.designs.design import Design
 from necc_casadi.designs.outcome import Start, solver_seconds
 from necc_casadi.model.closed_loop import ClosedLoop
+from necc_casadi.model.family_loop import FamilyLoop
 from necc_casadi.performance.other_minima import LowerMinimum, lower_minimum
 from necc_casadi.performance.saturated import lqr_costs, saturated
 from necc_casadi.performance.shares import plant_share, unclipped_share
@@ -42,7 +43,7 @@ from necc_casadi.synthesis.plan import make_plan, whole_space_stiffness
 from necc_casadi.synthesis.synthesis import answered
 from necc_casadi.verdict.verdict import Verdict
 
-__all__ = ["Choice", "choose"]
+__all__ = ["Choice", "choose", "default_trial", "may_hold_everywhere"]
 
 
 #: A whole-space design that costs no more than this multiple of LQR's cost leaves too little to win
@@ -104,6 +105,7 @@ def choose(
     x_star: Mapping[sp.Symbol, sp.Expr],
     options: Options | None = None,
     say: _Say | None = None,
+    family: FamilyLoop | None = None,
 ) -> Choice:
     """Make the designs that the plant allows, and keep one.
 
@@ -112,7 +114,7 @@ def choose(
 
     Parameters
     ----------
-    loop, casimirs, verdict, x_star, options
+    loop, casimirs, verdict, x_star, options, family
         As for :func:`design`.
     say
         Hears what is being done.
@@ -144,7 +146,7 @@ def choose(
     options = options or Options()
     check_options(options)
     plain = replace(options, polish=False)
-    maker = _Maker(loop, casimirs, verdict, x_star, plain, say or (lambda text: None))
+    maker = _Maker(loop, casimirs, verdict, x_star, plain, say or (lambda text: None), family)
     found = _chosen(maker)
     kept, others, passed = _polished(maker, found) if options.polish else found
     lower = None
@@ -152,6 +154,31 @@ def choose(
         with maker.stage("choice", kept.name, "other minima of V"):
             lower = lower_minimum(kept.design)
     return Choice(kept, others, passed, lower, dict(maker.seconds))
+
+
+def may_hold_everywhere(
+    loop: ClosedLoop,
+    casimirs: Casimirs,
+    verdict: Verdict,
+    x_star: Mapping[sp.Symbol, sp.Expr],
+    options: Options,
+) -> bool:
+    """Whether some V of this loop has one critical point; parameters are those of `choose`."""
+    plan = make_plan(loop, casimirs, verdict, x_star, options)
+    return whole_space_stiffness(plan) is not None
+
+
+def default_trial(
+    loop: ClosedLoop,
+    casimirs: Casimirs,
+    verdict: Verdict,
+    x_star: Mapping[sp.Symbol, sp.Expr],
+    options: Options,
+    say: _Say,
+) -> tuple[Trial, Mapping[str, float]]:
+    """The default alone, nothing proved of it, with the seconds that it took, by stage."""
+    maker = _Maker(loop, casimirs, verdict, x_star, replace(options, polish=False), say)
+    return maker.made("default", maker.options), maker.seconds
 
 
 _Chosen = tuple[Judged, tuple[Judged, ...], tuple[Passed, ...]]
@@ -387,7 +414,7 @@ def _whole_space(maker: _Maker) -> Trial | None:
     """The candidate with one critical point; None where no stiffness is enough."""
     with maker.stage("design", "whole space", "stiffness"):
         loop, casimirs, verdict = maker.loop, maker.casimirs, maker.verdict
-        plan = make_plan(loop, casimirs, verdict, maker.x_star, maker.options)
+        plan = make_plan(loop, casimirs, verdict, maker.x_star, maker.options, maker.family)
         stiffness = whole_space_stiffness(plan)
     if stiffness is None:
         return None
@@ -415,6 +442,7 @@ class _Maker:
     x_star: Mapping[sp.Symbol, sp.Expr]
     options: Options
     say: _Say
+    family: FamilyLoop | None = None
     seconds: dict[str, float] = field(default_factory=dict)
     _lqr: list[Vector | None] = field(default_factory=list)  # what LQR costs, once it is known
 
@@ -440,7 +468,7 @@ class _Maker:
             as_it_is = name == "as asked" or options.least_cost or options.shaping is not None
             made_by = options if as_it_is else _unweighted(options)
             parts = (self.loop, self.casimirs, self.verdict, self.x_star)
-            found = answered(*parts, made_by, report)
+            found = answered(*parts, made_by, report, self.family)
         made = found.design
         self.seconds["solve"] = self.seconds.get("solve", 0.0) + solver_seconds(made.starts)
         with self.stage("choice", name, "following starts"):

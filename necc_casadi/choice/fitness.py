@@ -9,7 +9,6 @@ import numpy as np
 from necc_casadi.choice.choose import Choice
 from necc_casadi.choice.judged import Judged
 from necc_casadi.designs.design import Design
-from necc_casadi.model.sizes import input_names
 from necc_casadi.performance.saturated import Elsewhere
 from necc_casadi.performance.shares import holds
 
@@ -71,14 +70,26 @@ def _gone(kept: Judged, strayed: Sequence[int], what: str) -> str:
     count, number = len(kept.response.arrived), len(set(strayed))
     at_rest = [(e, len(set(e.starts) & set(strayed))) for e in kept.response.elsewhere]
     at_rest = sorted((pair for pair in at_rest if pair[1]), key=lambda pair: -pair[1])
-    away = number - sum(starts for _, starts in at_rest)
+    astray = set(strayed) - {i for e, _ in at_rest for i in e.starts}
+    undefined = sum(not _is_defined(kept, i) for i in sorted(astray))
+    away = len(astray) - undefined
     head = f"{number} of {count} {what} {'do' if number > 1 else 'does'} not arrive"
     parts = []
     if at_rest:
         parts.append(_resting(at_rest, kept.design))
     if away:
         parts.append(f"{away} run away" if away > 1 else "1 runs away")
+    if undefined:
+        parts.append(f"{undefined} start{'' if undefined > 1 else 's'} where the law is undefined")
     return f"{head}: {' and '.join(parts)}"
+
+
+def _is_defined(kept: Judged, index: int) -> bool:
+    """Whether the law has a value at a start."""
+    start = kept.response.starts[index]
+    with np.errstate(all="ignore"):
+        u, _ = kept.design.lyapunov.control_law(start, kept.design.xi_at_state(start))
+    return bool(np.isfinite(u).all())
 
 
 def _resting(places: Sequence[tuple[Elsewhere, int]], design: Design) -> str:
@@ -97,7 +108,7 @@ def _beyond_limits(kept: Judged) -> str:
     parts = [
         f"|{name}| up to {peak:.3g}, limits {float(lo):.4g} … {float(hi):.4g}"
         for name, peak, (lo, hi), over in zip(
-            input_names(plant.m), response.peak_u.max(axis=0), limits, worst, strict=True
+            plant.input_names, response.peak_u.max(axis=0), limits, worst, strict=True
         )
         if over
     ]

@@ -235,7 +235,8 @@ __all__ = ["design_command"]
 def _design(model: Path, **options: Any) -> int:
     """Design a certified energy-Casimir controller for the plant in MODEL.
 
-    MODEL is a Python file that defines x, J, R, G and H with sympy. It is run as your own code.
+    MODEL is a Python file that defines x, J, R, G and H with sympy; it is run as your own code.
+    Or an arm in URDF.
 
     --settle, --rate and --peak-u design for the least quadratic cost. Its weights are state_cost
     and input_cost of MODEL, by default 1/size² of every state and input; a model that has them is

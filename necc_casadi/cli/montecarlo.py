@@ -24,9 +24,9 @@ __all__ = ["montecarlo_command"]
 @click.argument("out", type=NamedPath())
 @task_option(
     "--vary",
-    required=True,
     metavar="NAME=BAND,…",
-    help="Parameters of the model and their bands: m=10%,g=9.7:9.9. Drawn uniformly.",
+    help="Parameters of the model, or disturbances of inputs, and their bands: m=10%,g=9.7:9.9, "
+    "d_u=-0.1:0.1. Drawn uniformly.  [default: the ranges that are proved]",
 )
 @task_option(
     "-n",
@@ -52,12 +52,14 @@ def _montecarlo(out: Path, **options: Any) -> int:
 
     A row per plant: whether it settles from every start, where it comes to rest, how fast, and the
     largest inputs. Each finished row is kept at once in rows.csv; run again, the command goes on
-    with the rows that are missing.
+    with the rows that are missing. Where something is proved of all these plants, it stands beside
+    what is sampled, in the table of the answer and in a figure.
 
     \b
     Examples:
       necc-montecarlo pendulum-design --vary m=10%,g=5% -n 200
       necc-montecarlo pendulum-design --vary m=0.9:1.2 -n 1000 --out study
+      necc-montecarlo family-design
 
     \b
     Exit codes:
@@ -67,25 +69,30 @@ def _montecarlo(out: Path, **options: Any) -> int:
     """
     progress = Progress()
     with progress.shown():
-        from necc_casadi.designs.design import Design
-        from necc_casadi.designs.plant_file import read_plant
         from necc_casadi.study.montecarlo import MonteCarlo
-        from necc_casadi.study.vary import read_bands
+        from necc_casadi.study.proof import subject
 
-        made = Design.load(out)
-        plant, text = read_plant(out if out.is_dir() else out.parent, made)
-        bands = read_bands(options["vary"], plant.values)
-        study = MonteCarlo(made.text, text, bands, options["starts"], options["seed"])
-        folder = options["folder"] or (out if out.is_dir() else out.parent)
+        home = out if out.is_dir() else out.parent
+        about = subject(home, options["vary"])
+        made, bands = about.design, about.bands
+        study = MonteCarlo(made.text, about.plant, bands, options["starts"], options["seed"])
+        folder = options["folder"] or home
         table = filled(study, options["plants"], folder, options, progress)
-    found = _found(table, made)
+    beside = about.beside(table, options["seed"])
+    found = {**_found(table, made), "proved": about.in_json(beside)}
 
-    def figure() -> Any:
+    def figures() -> dict[str, Any]:
+        from necc_casadi.report.proof_figure import proof_figure
         from necc_casadi.study.study_figures import histograms
 
-        return histograms(table, made.loop.plant.name, made.loop.plant.units)
+        plant = made.loop.plant
+        drawn: dict[str, Any] = {"study": histograms(table, plant.name, plant.units)}
+        if beside is not None:
+            drawn["proof"] = proof_figure(beside, plant.name, plant.states, plant.units)
+        return drawn
 
-    return answer(table, folder, options, figure, found, _text(found, made))
+    text = "\n".join([_text(found, made), *about.rows(beside)])
+    return answer(table, folder, options, figures, found, text)
 
 
 def _found(table: Table, made: Design) -> dict[str, Any]:

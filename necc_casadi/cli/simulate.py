@@ -88,7 +88,7 @@ def _simulate(out: Path, **options: Any) -> int:
     xi0 = options["xi0"] or None
     response = simulate(made, x0, xi0, time=options["horizon"], points=options["points"])
     shown = (*made.measurement.names, *made.loop.controller.states)
-    text = response.csv(shown)
+    text = response.csv(shown, made.loop.plant.inputs)
     if options["csv"] is not None and str(options["csv"]) != "-":
         write_text(options["csv"], text)
     if options["plot"] is not None:

@@ -88,19 +88,19 @@ def answer(
     table: Table,
     out: Path,
     options: Mapping[str, Any],
-    figure: Callable[[], Figure | None],
+    figures: Callable[[], Mapping[str, Figure | None]],
     found: Mapping[str, Any],
     text: str,
 ) -> int:
-    """Write tables and figure, say what was found; the exit code."""
+    """Write tables and figures, by name, say what was found; the exit code."""
     from necc_casadi.report.style import write_figure
     from necc_casadi.study.rows import ROWS, STUDY
     from necc_casadi.study.tables import write_tables
 
     files = write_tables(table, out)
-    drawn = None if options["no_plots"] else figure()
-    if drawn is not None:
-        files.append(write_figure(drawn, out / f"study.{options['format']}"))
+    for name, drawn in ({} if options["no_plots"] else figures()).items():
+        if drawn is not None:
+            files.append(write_figure(drawn, out / f"{name}.{options['format']}"))
     names = [STUDY, ROWS, *(path.name for path in files)]
     if options["as_json"]:
         echo_json({"status": "finished", "rows": len(table), **found, "files": names})

@@ -84,7 +84,7 @@ def _sweep(model: Path, vary: tuple[str, ...], seeds: str | None, **options: Any
 
     outcomes = ", ".join(f"{count} {word}" for word, count in sorted(found["outcomes"].items()))
     text = f"{known.loop.plant.name}: {len(table)} designs: {outcomes}"
-    return answer(table, folder, options, figure, found, text)
+    return answer(table, folder, options, lambda: {"study": figure()}, found, text)
 
 
 #: Everything that a design may be asked for may be asked of all of them.

@@ -91,7 +91,7 @@ def run(command: click.Command, arguments: Sequence[str] | None = None) -> int:
     readable_streams()
     try:
         with _same_stdout(), interruptible():
-            code = command.main(given, standalone_mode=False)
+            code = command.main(given, prog_name=command.name, standalone_mode=False)
             sys.stdout.flush()
         return int(code or 0)
     except InputError as problem:

@@ -31,7 +31,6 @@ from necc_casadi.lyapunov.lyapunov import LyapunovFunction, make_terms
 from necc_casadi.lyapunov.opened_loop import opened_at_the_input
 from necc_casadi.model.domain import Domain, domain_of
 from necc_casadi.model.measurement import Measurement
-from necc_casadi.model.sizes import input_names
 from necc_casadi.symbolic.floats import to_floats
 from necc_casadi.verdict.verdict import STABLE
 
@@ -80,7 +79,7 @@ class Design(Parts):
     @property
     def named_sizes(self) -> dict[str, float]:
         """Natural size of each state and input, by name."""
-        names = (*self.loop.states, *input_names(self.loop.plant.m))
+        names = (*self.loop.states, *self.loop.plant.input_names)
         values = np.concatenate([self.sizes.state, self.sizes.input])
         return dict(zip(names, values.tolist(), strict=True))
 

@@ -17,6 +17,7 @@ from necc_casadi.cases import InitialXi
 from necc_casadi.casimirs.casimirs import Casimirs
 from necc_casadi.designs.integral import integral_of, integral_text
 from necc_casadi.designs.outcome import Residual, Start
+from necc_casadi.designs.parametric_text import check_plants, plants_of, plants_text
 from necc_casadi.designs.parts import Parts
 from necc_casadi.lyapunov.damping import dissipates
 from necc_casadi.lyapunov.networks import ACTIVATIONS, MonotonePhi, Network
@@ -90,6 +91,7 @@ def to_dict(design: Parts) -> dict[str, Any]:
         **_controller_text(design.loop, text),
         **_preliminary_text(plant, text),
         **({} if plant.inertia is None else {"inertia": text(plant.inertia)}),
+        **({"inputs": list(plant.inputs)} if plant.inputs else {}),
         "units": dict(plant.units),
         "domain": {name: text(bounds) for name, bounds in plant.domain.items()},
         "u_limits": plant.u_limits,
@@ -133,6 +135,7 @@ def to_dict(design: Parts) -> dict[str, Any]:
             if design.setpoints
             else {}
         ),
+        **({} if design.told is None else {"told": plants_text(plant.states, design.told)}),
         **({} if design.integral is None else {"integral": integral_text(design.integral)}),
         "sizes": {**_sizes_text(design.sizes), "guessed": list(design.sizes.guessed)},
         "units": _sizes_text(design.units),
@@ -212,7 +215,9 @@ def check_whole(design: Parts, data: Mapping[str, Any]) -> None:
     r = len(design.casimirs.functions)
     if data["model_hash"] != _model_hash(data["model"]):
         raise ValueError("the model was edited: its hash differs")
-    shown = [plant.name, *design.loop.states, *plant.units.values()]
+    if len(plant.input_names) != m:
+        raise ValueError("each input needs a name")
+    shown = [plant.name, *design.loop.states, *plant.inputs, *plant.units.values()]
     if any(escaped(text) != text for text in shown):
         raise ValueError("a name or a unit holds characters that cannot be shown")
     shapes = {
@@ -242,6 +247,8 @@ def check_whole(design: Parts, data: Mapping[str, Any]) -> None:
     for name, (lo, hi) in design.setpoints.items():
         if name not in plant.states or not bool(lo < hi) or lo.free_symbols | hi.free_symbols:
             raise ValueError("a set-point moves between two numbers, for a state")
+    if design.told is not None:
+        check_plants(design.told, plant)
     if design.integral is not None and len(design.integral.gain) != m:
         raise ValueError("an integral action needs one number for each input")
     if design.initial_xi not in get_args(InitialXi):
@@ -307,6 +314,7 @@ def from_dict(data: Mapping[str, Any]) -> Parts:
         if model["u_limits"] is None
         else tuple((float(lo), float(hi)) for lo, hi in model["u_limits"]),
         sizes={name: read(size) for name, size in model.get("sizes", {}).items()},
+        inputs=tuple(model.get("inputs", ())),
         properties=properties[:split],
         preliminary=None
         if "preliminary" not in model
@@ -355,6 +363,7 @@ def from_dict(data: Mapping[str, Any]) -> Parts:
         seed=data["seed"],
         starts=tuple(Start(**start) for start in data["starts"]),
         setpoints={k: read(v) for k, v in data.get("setpoints", {}).items()},
+        told=plants_of(data["told"]) if "told" in data else None,
         integral=integral_of(data["integral"]) if "integral" in data else None,
         learned=None if data["learned"] is None else Residual(**data["learned"]),
         versions=data["versions"],

@@ -16,6 +16,7 @@ from necc_casadi.designs.integral import Integral
 from necc_casadi.designs.outcome import Residual, Start
 from necc_casadi.lyapunov.parameterization import Form
 from necc_casadi.model.closed_loop import ClosedLoop
+from necc_casadi.model.lagrangian import Plants
 from necc_casadi.model.ranges import Range
 from necc_casadi.model.sizes import Sizes
 from necc_casadi.verdict.verdict import Verdict
@@ -54,6 +55,7 @@ class Parts:
     integral: Integral | None = None  # integral action on the position; None: without
     #: coordinate → range in which its set-point moves at run time; {}: it does not
     setpoints: Mapping[str, Range] = field(default_factory=dict)
+    told: Plants | None = None  # parameters that the controller is told at run time; None: none
     learned: Residual | None = None  # of a learned Casimir; None: Casimirs in closed form
     versions: Mapping[str, str] = field(default_factory=_package_versions)
     sizes: Sizes = _OF_THE_MODEL  # natural sizes at the target; by default the model's units

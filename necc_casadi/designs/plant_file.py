@@ -10,16 +10,13 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import sympy as sp
-
 from necc_casadi.designs.design import Design
 from necc_casadi.designs.layout import BROKEN
+from necc_casadi.designs.parametric_text import parametric_of, parametric_text
 from necc_casadi.errors import OutputError
 from necc_casadi.files import read_text, refuse_unfinished
 from necc_casadi.model.parametric import Parametric
 from necc_casadi.symbolic.derivatives import gradient
-from necc_casadi.symbolic.expressions import parse, to_text
-from necc_casadi.symbolic.identifiers import identifiers
 from necc_casadi.symbolic.zero import is_zero
 
 __all__ = ["PLANT_FILE", "parse_plant", "plant_text", "read_plant"]
@@ -36,25 +33,10 @@ _LARGEST = 1 << 26  # bytes
 
 def plant_text(design: Design, plant: Parametric) -> str:
     """The content of plant.json."""
-    names = (*design.loop.plant.states, *map(str, plant.symbols))
-    plain = identifiers(names)
-    rename = {
-        sp.Symbol(name, real=True): sp.Symbol(letter, real=True)
-        for name, letter in zip(names, plain, strict=True)
-    }
-
-    def text(value: Any) -> Any:
-        if isinstance(value, sp.MatrixBase):
-            return [[text(entry) for entry in row] for row in value.tolist()]
-        return to_text(value.xreplace(rename))
-
     data = {
         "format": _PLANT_FORMAT,
         "design": design.hash,
-        "names": list(names),
-        "symbols": plain,
-        "parameters": {str(s): to_text(plant.values[str(s)]) for s in plant.symbols},
-        **{name: text(getattr(plant, name)) for name in ("J", "R", "G", "H")},
+        **parametric_text(design.loop.plant.states, plant),
     }
     return json.dumps(data, indent=1, ensure_ascii=False) + "\n"
 
@@ -97,21 +79,7 @@ def parse_plant(text: str) -> Parametric:
     data: Mapping[str, Any] = json.loads(text)
     if data["format"] != _PLANT_FORMAT:
         raise ValueError(f"format {data['format']!r}")
-    symbols = {
-        plain: sp.Symbol(name, real=True)
-        for plain, name in zip(data["symbols"], data["names"], strict=True)
-    }
-
-    def matrix(name: str) -> sp.ImmutableMatrix:
-        return sp.ImmutableMatrix([[parse(entry, symbols) for entry in row] for row in data[name]])
-
-    return Parametric(
-        matrix("J"),
-        matrix("R"),
-        matrix("G"),
-        parse(data["H"], symbols),
-        {name: parse(value) for name, value in data["parameters"].items()},
-    )
+    return parametric_of(data)
 
 
 def _same(plant: Parametric, design: Design) -> bool:

@@ -15,6 +15,7 @@ from necc_casadi.export.source import Source
 from necc_casadi.export.templating import PREFIX, fill
 from necc_casadi.export.vectors import vector_table
 from necc_casadi.files import write_text
+from necc_casadi.model.parametric import Parametric
 
 __all__ = ["export_c"]
 
@@ -28,6 +29,7 @@ def export_c(
     integrator: Integrator = "heun",
     certificate: Certificate | None = None,
     prefix: str = PREFIX,
+    parametric: Parametric | None = None,
     measured: bool = True,
 ) -> list[Path]:
     """Write the C controller of `design` into `folder` (OUT/c); return the files written.
@@ -49,6 +51,9 @@ def export_c(
     prefix
         Every external name of the code begins with it, macros in capitals; the files keep
         their names.
+    parametric
+        The plant with its parameters as symbols, for the ``necc_margin`` of a certificate of
+        integral action that is about many plants.
     measured
         Compile and time the code for the README, where a C compiler is.
 
@@ -76,7 +81,7 @@ def export_c(
     >>> sorted(path.name for path in export_c(made, Path("c"), measured=False))[-3:]
     ['necc.h', 'selftest.c', 'test_vectors.h']
     """
-    source = Source(design, real, sample_time, integrator, certificate, prefix)
+    source = Source(design, real, sample_time, integrator, certificate, prefix, parametric)
     files = {
         "necc.h": header(source),
         "necc.c": controller(source),

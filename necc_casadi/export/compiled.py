@@ -24,6 +24,7 @@ from necc_casadi.export.templating import PREFIX
 
 __all__ = [
     "CompiledController",
+    "Running",
     "compile_controller",
     "compile_shared",
     "find_compiler",
@@ -32,6 +33,10 @@ __all__ = [
 
 
 _REJECTED = 2  # NECC_REJECTED
+
+
+#: Room for parameters that are told.
+_MOST_TOLD = 64
 
 
 _REMEDY = "Install gcc or clang, or name one in the environment variable CC."
@@ -96,6 +101,13 @@ class CompiledController:
             xis.append(list(state)[: len(xi)])
         return np.array(us, float), np.array(xis, float), flags
 
+    def running(self, x0: Sequence[float] | None = None) -> Running:
+        """A state of its own, as ``necc_init`` has it, or ``necc_start`` at x0 (n,)."""
+        state = self._state(())
+        if x0 is not None:
+            self._function("start")(state, self._array(x0, self.n))
+        return Running(self, state)
+
     def step(
         self, xi: Sequence[float], x: Sequence[float], dt: float
     ) -> tuple[Vector, Vector, int]:
@@ -109,12 +121,11 @@ class CompiledController:
         return us[rejected], xis[1], flags[rejected]
 
     def margin(self, x: Sequence[float], xi: Sequence[float]) -> float | None:
-        """``necc_margin`` at (x, ξ), from 0 on in Ω; None where the code has none."""
-        if not hasattr(self.library, f"{self.prefix}_margin"):
-            return None
-        function = self._function("margin")
-        function.restype = self.real
-        return float(function(self._array(x, self.n), self._array(xi, self.nc)))
+        """``necc_margin`` at (x, ξ), from 0 on in Ω; None where the code has none.
+
+        With integral action ζ may stand behind ξ.
+        """
+        return Running(self, self._state(xi)).margin(x)
 
     def _started(self, name: str, x0: Sequence[float]) -> tuple[Vector, int]:
         state = self._state(())
@@ -122,15 +133,68 @@ class CompiledController:
         return np.array(state, float)[: self.nc], int(flags)
 
     def _state(self, kept: Sequence[float]) -> Any:
-        """Memory for ``necc_state`` before its first sample: ξ, ζ, then what is not looked at."""
-        room = 2 * (self.nc + self.m + self.n) + 4
-        return (self.real * room)(*(float(v) for v in kept))
+        """Memory for ``necc_state`` as ``necc_init`` makes it, but for the ξ and ζ given."""
+        room = 3 * (self.nc + self.m + self.n) + _MOST_TOLD + 8
+        state = (self.real * room)()
+        self._function("init")(state)
+        for i, value in enumerate(kept):
+            state[i] = float(value)
+        return state
 
     def _function(self, name: str) -> Any:
         return getattr(self.library, f"{self.prefix}_{name}")
 
     def _array(self, values: Sequence[float], length: int) -> Any:
         return (self.real * length)(*(float(v) for v in values))
+
+
+@dataclass(frozen=True, eq=False)
+class Running:
+    """One ``necc_state`` and the functions that take it."""
+
+    code: CompiledController
+    state: Any
+
+    @property
+    def xi(self) -> Vector:
+        """ξ, (nc,)."""
+        return np.array(self.state[: self.code.nc], float)
+
+    def step(self, x: Sequence[float], dt: float) -> tuple[Vector, int]:
+        """``necc_step``: what is measured (n,), s since the last sample -> u (m,), flags."""
+        u = (self.code.real * self.code.m)()
+        flags = self._call("step", x, self.code.n, u, self.code.real(dt))
+        return np.array(u, float), flags
+
+    def margin(self, x: Sequence[float]) -> float | None:
+        """``necc_margin`` at what is measured (n,); None where the code has none."""
+        if not hasattr(self.code.library, f"{self.code.prefix}_margin"):
+            return None
+        function = self.code._function("margin")
+        function.restype = self.code.real
+        return float(function(self.state, self.code._array(x, self.code.n)))
+
+    def set_target(self, x: Sequence[float], r: Sequence[float]) -> int:
+        """``necc_set_target``: what is measured (n,), a value per coordinate -> flags."""
+        return self._call("set_target", x, self.code.n, self.code._array(r, self.code.n // 2))
+
+    def target(self) -> Vector:
+        """``necc_get_target``: the set-point that is applied, (n/2,)."""
+        r = (self.code.real * (self.code.n // 2))()
+        self.code._function("get_target")(self.state, r)
+        return np.array(r, float)
+
+    def set_parameter(self, theta: Sequence[float]) -> int:
+        """``necc_set_parameter``: what the plant has now (p,) -> flags."""
+        return self._call("set_parameter", theta, len(theta))
+
+    def set_switch(self, how: int) -> None:
+        """``necc_set_switch``: 0, ξ stays; 1, u stays; 2, V(x, ·) is least."""
+        self.code._function("set_switch")(self.state, ctypes.c_int(how))
+
+    def _call(self, name: str, values: Sequence[float], length: int, *more: Any) -> int:
+        function = self.code._function(name)
+        return int(function(self.state, self.code._array(values, length), *more))
 
 
 def compile_controller(

@@ -30,7 +30,7 @@ def demonstration(source: Source) -> str:
     columns = [
         *source.design.measurement.names,
         *inner,
-        *(f"u{i + 1}" for i in range(source.m)),
+        *source.input_columns,
         "flags",
     ]
     text = fill(

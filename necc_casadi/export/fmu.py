@@ -21,9 +21,10 @@ from necc_casadi.export.controller import controller
 from necc_casadi.export.header import header
 from necc_casadi.export.margin import has_margin
 from necc_casadi.export.source import Source
-from necc_casadi.export.targets import moving_claim
+from necc_casadi.export.targets import moving_set
 from necc_casadi.export.templating import PREFIX, fill
 from necc_casadi.files import write_text
+from necc_casadi.model.parametric import Parametric
 from necc_casadi.symbolic.identifiers import identifiers
 from necc_casadi.texts import escaped
 
@@ -45,6 +46,7 @@ def export_fmu(
     integrator: Integrator = "heun",
     certificate: Certificate | None = None,
     prefix: str = PREFIX,
+    parametric: Parametric | None = None,
 ) -> Path:
     """Write `path`, sources included, and a binary for this machine where a C compiler is.
 
@@ -57,7 +59,7 @@ def export_fmu(
     OutputError
         When the compiler fails or the file cannot be written.
     """
-    source = Source(design, real, sample_time, integrator, certificate, prefix)
+    source = Source(design, real, sample_time, integrator, certificate, prefix, parametric)
     guid = f"{{{design.hash[:32]}}}"
     linear = design.initial_xi == "linear"
     wrapper = fill(
@@ -133,7 +135,9 @@ def _description(source: Source, guid: str, name: str) -> str:
     for file in _SOURCES:
         ET.SubElement(files, "File", name=file)
     measured = design.measurement
-    units = [escaped(measured.units.get(name, "")) for name in measured.names]
+    known = {**design.loop.plant.units, **measured.units}
+    names = (*measured.names, *design.loop.plant.input_names)
+    units = [escaped(known.get(name, "")) for name in names]
     definitions = dict.fromkeys(unit for unit in units if unit)
     if definitions:
         parent = ET.SubElement(root, "UnitDefinitions")
@@ -147,46 +151,45 @@ def _description(source: Source, guid: str, name: str) -> str:
 
 
 def _variables(root: ET.Element, source: Source, units: Sequence[str]) -> None:
-    """x, u, ξ, ζ, margin, r, flags, start_at_minimum; the order fixes the references in fmu.c."""
+    """x, u, ξ, ζ, margin, r, θ, flags, switch, start; the order fixes the references in fmu.c."""
     design, loop, at_target = source.design, source.design.loop, _at_target(source)
     margin = ["margin"] if has_margin(source) else []
     variables = ET.SubElement(root, "ModelVariables")
-    inputs = [f"u{i + 1}" for i in range(loop.plant.m)]
-    *reals, flags, start = identifiers(
-        [
-            *design.measurement.names,
-            *inputs,
-            *loop.controller.states,
-            *source.zeta_names,
-            *margin,
-            *_targets(source),
-            "flags",
-            "start_at_minimum",
-        ]
-    )
+    outputs = [*source.input_columns, *loop.controller.states, *source.zeta_names, *margin]
+    targets, told = _targets(source), _told(source)
+    names = identifiers(
+        [*design.measurement.names, *outputs, *targets, *told, "flags", *_switch(source),
+         "start_at_minimum"]
+    )  # fmt: skip
+    reals, rest = names[: -2 - len(_switch(source))], names[-2 - len(_switch(source)) :]
 
     def add(name: str, reference: int, kind: str, attributes: dict[str, str], **words: str) -> None:
         common = {"name": name, "valueReference": str(reference), **words}
         ET.SubElement(ET.SubElement(variables, "ScalarVariable", common), kind, attributes)
 
-    for i, name in enumerate(reals):
-        if i < loop.plant.n:
-            unit = {"unit": text} if (text := units[i]) else {}
-            value = {"start": repr(float(at_target[i]))}
-            add(name, i, "Real", value | unit, causality="input", variability="continuous")
-        elif i >= len(reals) - len(_targets(source)):
-            value = {"start": repr(float(at_target[i - len(reals) + len(_targets(source))]))}
-            add(name, i, "Real", value, causality="input", variability="continuous")
-        else:
-            words = {"causality": "output", "variability": "continuous", "initial": "calculated"}
-            add(name, i, "Real", {}, **words)
+    given = {"causality": "input", "variability": "continuous"}
+    made = {"causality": "output", "variability": "continuous", "initial": "calculated"}
+    kept = {"causality": "parameter", "variability": "tunable"}
+    kinds = [given] * loop.plant.n + [made] * len(outputs) + [given] * len(targets)
+    starts = [*at_target, *[None] * len(outputs), *at_target[: len(targets)], *told.values()]
+    kinds += [kept] * len(told)
+    for i, (name, words, start) in enumerate(zip(reals, kinds, starts, strict=True)):
+        unit = {"unit": text} if i < len(units) and (text := units[i]) else {}
+        value = {} if start is None else {"start": repr(float(start))}
+        add(name, i, "Real", value | unit, **words)
     add(
-        flags, 0, "Integer", {}, causality="output", variability="discrete", initial="calculated",
-        description="1: u clipped, 2: input not finite, 4: no minimum found, 8: target out of "
-        "range, 16: moved part of the way, 32: not moved",
+        rest[0], 0, "Integer", {}, causality="output", variability="discrete", initial="calculated",
+        description="1: u clipped, 2: input not finite, 4: no minimum found, 8: out of range, "
+        "16: moved part of the way, 32: not moved, 64: not proved with this parameter",
     )  # fmt: skip
+    for name in rest[1:-1]:
+        add(
+            name, 1, "Integer", {"start": "0"}, causality="parameter", variability="tunable",
+            description="where the target or a parameter changes, 0: xi stays, 1: u stays, "
+            "2: V(x, .) is least",
+        )  # fmt: skip
     add(
-        start, 0, "Boolean", {"start": str(design.initial_xi == "minimum").lower()},
+        rest[-1], 0, "Boolean", {"start": str(design.initial_xi == "minimum").lower()},
         causality="parameter", variability="fixed",
         description="xi starts at the minimum of V(x, .)",
     )  # fmt: skip
@@ -194,9 +197,21 @@ def _variables(root: ET.Element, source: Source, units: Sequence[str]) -> None:
 
 def _targets(source: Source) -> list[str]:
     """Names of the set-points that may be commanded; none where they do not move."""
-    if moving_claim(source) is None:
+    if moving_set(source) is None or not source.design.setpoints:
         return []
     return [f"target_{name}" for name in source.design.loop.plant.states[: source.n // 2]]
+
+
+def _told(source: Source) -> dict[str, float]:
+    """Names of the parameters that may be told, with those of the model."""
+    found = moving_set(source)
+    if found is None:
+        return {}
+    return dict(zip(map(str, found.points.theta), found.told[2].tolist(), strict=True))
+
+
+def _switch(source: Source) -> list[str]:
+    return [] if moving_set(source) is None else ["change_of_xi"]
 
 
 def _structure(root: ET.Element, source: Source) -> None:
@@ -206,10 +221,10 @@ def _structure(root: ET.Element, source: Source) -> None:
     structure = ET.SubElement(root, "ModelStructure")
     on_x = " ".join(str(i + 1) for i in range(n))
     last = n + m + nc + len(margin)
-    outputs = [*range(n + 1, last + 1), last + len(_targets(source)) + 1]
+    flags = last + len(_targets(source)) + len(_told(source)) + 1
     for name in ("Outputs", "InitialUnknowns"):
         parent = ET.SubElement(structure, name)
-        for index in outputs:
+        for index in (*range(n + 1, last + 1), flags):
             direct = name == "InitialUnknowns" or index <= n + m or index in margin
             words = {"index": str(index), "dependencies": on_x if direct else ""}
             ET.SubElement(parent, "Unknown", words)

@@ -7,7 +7,7 @@ import textwrap
 from necc_casadi.export.margin import margin_constants, margin_declaration
 from necc_casadi.export.sampled_loop import analyse_sampling
 from necc_casadi.export.source import Source
-from necc_casadi.export.targets import moving_claim, target_declarations
+from necc_casadi.export.targets import target_constants, target_declarations, target_members
 from necc_casadi.export.templating import comment, fill
 
 __all__ = ["header"]
@@ -37,6 +37,10 @@ _LAWS = {
 
 #: In the state, with integral action.
 _ZETA = "\n    necc_real zeta[NECC_NU]; /* integral action */"
+
+
+#: What rounding leaves of ζ.
+_ZETA_REST = "\n    necc_real zeta_rest[NECC_NU];"
 
 
 #: What ``necc_start`` does.
@@ -74,9 +78,12 @@ def header(source: Source) -> str:
         start_text=_START[design.initial_xi],
         order=_order(source),
         measured=_measured(source),
-        **_target(source),
+        has_target=target_constants(source),
+        r=target_members(source),
+        set_target=target_declarations(source),
         has_integral=0 if design.integral is None else 1,
         zeta=_ZETA if design.integral else "",
+        zeta_rest=_ZETA_REST if design.integral else "",
         real=source.real,
         integrator_name=_METHODS[source.integrator],
         guard=f"NECC_DESIGN_{design.hash[:16]}",
@@ -142,21 +149,6 @@ def _sampled_claim(source: Source) -> str:
     return f"\n/*\n{_item(comment(text))}\n */"
 
 
-def _target(source: Source) -> dict[str, str]:
-    """What there is of set-points that move."""
-    if moving_claim(source) is None:
-        return {"has_target": "#define NECC_HAS_TARGET 0", "r": "", "set_target": ""}
-    flags = (
-        "#define NECC_HAS_TARGET 1\n"
-        f"#define NECC_NR {source.n // 2} /* coordinates of the set-point */\n"
-        "#define NECC_OUTSIDE 8 /* of necc_set_target, see there */\n"
-        "#define NECC_LIMITED 16\n"
-        "#define NECC_REFUSED 32"
-    )
-    held = "\n    necc_real r[NECC_NR]; /* set-point */"
-    return {"has_target": flags, "r": held, "set_target": target_declarations(source)}
-
-
 def _measured(source: Source) -> str:
     """What x of the functions is."""
     if not source.measures_velocity:
@@ -169,10 +161,9 @@ def _measured(source: Source) -> str:
 
 def _order(source: Source) -> str:
     loop = source.design.loop
-    inputs = [f"input {i + 1}" for i in range(source.m)]
     measured = source.design.measurement
     known = {**loop.plant.units, **measured.units}
-    arrays = {"x": measured.names, "xi": loop.controller.states, "u": inputs}
+    arrays = {"x": measured.names, "xi": loop.controller.states, "u": loop.plant.input_names}
     return "\n".join(
         f" *   {array}[{i}]  {comment(name)}{_unit(known.get(name))}"
         for array, names in arrays.items()

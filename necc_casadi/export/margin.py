@@ -12,9 +12,15 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+import casadi as ca
+
 from necc_casadi.certificate.claims.certificate import Certificate
 from necc_casadi.certificate.claims.regions import Leaf, Region
+from necc_casadi.export.casadi2c import c_function
+from necc_casadi.export.integral_margin import integral_margin, integral_margin_obstacle
+from necc_casadi.export.level_rounding import integral_rounding
 from necc_casadi.export.source import Source
+from necc_casadi.export.targets import moving_set
 from necc_casadi.export.templating import fill
 
 __all__ = [
@@ -22,11 +28,16 @@ __all__ = [
     "margin_code",
     "margin_constants",
     "margin_declaration",
+    "margin_of_region",
     "margin_takes_momenta",
 ]
 
 #: Intervals of codes that the table may have, and bits of a code.
 _MOST_RUNS, _MOST_BITS = 4096, 64
+
+
+#: Spacings of the numbers next to 1 by which the box of integral action is smaller.
+_ROUNDINGS = 64.0
 
 
 def has_margin(source: Source) -> bool:
@@ -36,14 +47,15 @@ def has_margin(source: Source) -> bool:
 
 def _missing(source: Source) -> str | None:
     """Why there is no ``necc_margin``."""
-    certificate = source.certificate
+    certificate, design = source.certificate, source.design
     if certificate is None:
         return "no certificate came with the design"
     region = certificate.region
-    if source.design.integral is not None:
-        return "what integral action makes fall contains a constant that is not known"
-    if source.design.setpoints:
-        return "the set-point moves, and necc_set_target tells what is proved from where"
+    if design.integral is not None:
+        return integral_margin_obstacle(design, certificate, source.parametric)
+    if design.setpoints or design.told:
+        moves = moving_set(source) is not None
+        return None if moves else "nothing is proved of set-points, or rounding may be all of it"
     if region is None:
         if certificate.of_the_whole_space:
             return "what is proved holds from every state, below no level"
@@ -61,6 +73,8 @@ def margin_constants(source: Source) -> str:
     if missing is not None or certificate is None:
         return f"#define NECC_HAS_MARGIN 0 /* {missing} */"
     lines = ["#define NECC_HAS_MARGIN 1"]
+    if margin_of_region(source) is None:
+        return lines[0]
     levels = (
         ("LIMITS", certificate.level_u, "u keeps its limits"),
         ("CLIPPED", certificate.level_clipped, "clipping of u changes nothing that is claimed"),
@@ -74,15 +88,41 @@ def margin_constants(source: Source) -> str:
 
 def margin_declaration(source: Source) -> str:
     """The prototype of ``necc_margin`` and what it says."""
-    return fill("margin.h") if has_margin(source) else ""
+    if not has_margin(source) or source.certificate is None:
+        return ""
+    made = source.design
+    if made.integral is not None:
+        found = integral_margin(made, source.certificate, source.parametric)
+        sides = zip(*found.resting, strict=True) if found is not None else ()
+        told = ", ".join(f"[{lo:.6g}, {hi:.6g}]" for lo, hi in sides)
+        unknown = (
+            " plant of the certificate and" if found and len(found.energy.potentials) > 1 else ""
+        )
+        return fill("margin_integral.h", resting=told, unknown=unknown)
+    if made.setpoints or made.told:
+        told = " and with the present parameters" if made.told else ""
+        return fill("margin_target.h", told=told)
+    return fill("margin.h")
+
+
+def margin_of_region(source: Source) -> Region | None:
+    """The region that ``necc_margin`` is about; None where it is about something else."""
+    made, certificate = source.design, source.certificate
+    other = made.integral is not None or made.setpoints or made.told
+    if other or certificate is None or not has_margin(source):
+        return None
+    region = certificate.region
+    return region if isinstance(region, Region) else None
 
 
 def margin_code(source: Source) -> str:
-    """``necc_margin`` with its table."""
-    certificate = source.certificate
-    if not has_margin(source) or certificate is None or not isinstance(certificate.region, Region):
+    """``necc_margin`` with its table; that of set-points comes with these."""
+    certificate, region = source.certificate, margin_of_region(source)
+    if source.design.integral is not None and has_margin(source):
+        return _integral_code(source)
+    if region is None or certificate is None:
         return ""
-    region, real = certificate.region, source.number
+    real = source.number
     level, height = _level(source, certificate)
     kept = [region.active[i] for i in region.kept]
     table = _table(source, region) if kept else ""
@@ -106,10 +146,36 @@ def margin_code(source: Source) -> str:
 
 def margin_takes_momenta(source: Source) -> bool:
     """Whether the cells of the region are in momenta, though q̇ is measured."""
-    region = None if source.certificate is None else source.certificate.region
-    if not has_margin(source) or not isinstance(region, Region) or not source.measures_velocity:
+    region = margin_of_region(source)
+    if region is None or not source.measures_velocity:
         return False
     return any(source.n // 2 <= region.active[i] < source.n for i in region.kept)
+
+
+def _integral_code(source: Source) -> str:
+    """1 − W/c with the largest W of what is not known."""
+    made, real = source.design, source.number
+    if source.certificate is None:
+        return ""
+    found = integral_margin(made, source.certificate, source.parametric)
+    if found is None:
+        return ""
+    x, room = ca.SX.sym("x", source.n), 1 - _ROUNDINGS * real.eps
+    level = max(found.level - integral_rounding(found, real), real.tiny)
+    low, high = found.resting
+    return fill(
+        "margin_integral.c",
+        leaf=c_function("known_energy", [("x", x)], [("parts", found.known(x))], real),
+        q_star=real.literals(found.q_star),
+        xi_bar=real.literals(found.xi_bar),
+        half=real.literals(found.half * room),
+        low=real.literals(low),
+        high=real.literals(high),
+        weight=real.literals(found.weight),
+        ends=len(found.energy.potentials),
+        rest=real.literal(found.rest),
+        level=real.literal(level),
+    )
 
 
 def _level(source: Source, certificate: Certificate) -> tuple[float, float]:

@@ -18,6 +18,7 @@ from necc_casadi.errors import OptionError
 from necc_casadi.export.casadi2c import Real
 from necc_casadi.export.sampled_loop import ORDERS, largest_stable_time
 from necc_casadi.export.templating import PREFIX, prefixed
+from necc_casadi.model.parametric import Parametric
 from necc_casadi.model.shaped_loop import ShapedLoop
 
 __all__ = ["Source"]
@@ -44,6 +45,7 @@ class Source:
     integrator: Integrator = "heun"
     certificate: Certificate | None = None
     prefix: str = PREFIX
+    parametric: Parametric | None = None  # the plant with its parameters as symbols
 
     def __post_init__(self) -> None:
         if self.real not in get_args(Precision):
@@ -134,6 +136,11 @@ class Source:
     def zeta_names(self) -> list[str]:
         """Names of the entries of ζ; none without integral action."""
         return [] if self.design.integral is None else [f"zeta{i + 1}" for i in range(self.m)]
+
+    @property
+    def input_columns(self) -> list[str]:
+        """Names of the inputs in tables and units: u1 … um where they have none of their own."""
+        return list(self.design.loop.plant.inputs) or [f"u{i + 1}" for i in range(self.m)]
 
     @property
     def neural_phi(self) -> bool:

@@ -14,10 +14,12 @@ from necc_casadi.lyapunov.lyapunov import Terms, control_law, make_terms, value
 from necc_casadi.lyapunov.parameterization import Form
 from necc_casadi.lyapunov.sympy2casadi import casadi_function
 from necc_casadi.model.family_loop import FamilyLoop
+from necc_casadi.model.rescale import exactly, rescaled_loop
+from necc_casadi.model.sizes import Sizes
 from necc_casadi.symbolic.derivatives import gradient
 from necc_casadi.symbolic.floats import to_float
 
-__all__ = ["control_law_over", "value_over"]
+__all__ = ["control_law_over", "energies_of", "value_over"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,6 +54,27 @@ def value_over(moved: FamilyLoop, casimirs: Casimirs, form: Form, weights: Vecto
     terms, w = _at(moved, casimirs, theta).terms, ca.DM(weights)
     V = value(terms, z, form.controller_energy(w), form.casimir(w), form.outer(w))
     return ca.Function("V", [z, theta], [V], ["z", "theta"], ["V"])
+
+
+def energies_of(
+    moved: FamilyLoop, units: Sizes, shares: Vector
+) -> tuple[ca.Function, list[ca.Function]]:
+    """H(x̂) of the nominal member, and of those at these shares (S, parameters) of each range.
+
+    Energy and states are measured in `units`.
+    """
+
+    def energy(values: dict[str, Any]) -> ca.Function:
+        plant = rescaled_loop(moved.at(values), units).plant
+        return casadi_function("H", plant.x, [plant.H])
+
+    def place(row: Vector) -> dict[str, Any]:
+        return {
+            p.name: p.range[0] + share * (p.range[1] - p.range[0])
+            for p, share in zip(moved.parameters, exactly(row), strict=True)
+        }
+
+    return energy({}), [energy(place(row)) for row in shares]
 
 
 def _at(moved: FamilyLoop, casimirs: Casimirs, theta: ca.MX) -> _Moved:

@@ -42,6 +42,7 @@ def plant_with_feedback(
         domain=like.domain,
         u_limits=like.u_limits,
         sizes=like.sizes,
+        inputs=like.inputs,
         inertia=None if origin is None else origin.inertia,
     )
     gammas = sp.Matrix([list(matching.shaping)]) * inverse if matching.shaping else ()

@@ -31,7 +31,6 @@ from necc_casadi.model.parametric import Parametric
 from necc_casadi.model.plant import Plant
 from necc_casadi.model.ranges import Ranges
 from necc_casadi.model.shaped_loop import ShapedLoop
-from necc_casadi.model.sizes import input_names
 from necc_casadi.symbolic.derivatives import gradient
 from necc_casadi.symbolic.elimination import eliminated
 from necc_casadi.symbolic.linear_algebra import generic_rank
@@ -127,7 +126,7 @@ def _parameters(
         for name, side in ranges.uncertain.items()
         if parametric is not None
     ]
-    names = input_names(loop.plant.m)
+    names = loop.plant.input_names
     found += [
         Parameter(f"d_{name}", "disturbance", fresh(f"d_{name}"), side, sp.Integer(0))
         for name, side in zip(names, ranges.disturbance, strict=False)

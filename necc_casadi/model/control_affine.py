@@ -19,6 +19,7 @@ class Equilibria(ABC):
     """What follows from f and g alone, for anything that has them."""
 
     x: tuple[sp.Symbol, ...]  # (n,)
+    inputs: tuple[str, ...]  # names, (m,); () where they have none
 
     @property
     @abstractmethod
@@ -39,6 +40,12 @@ class Equilibria(ABC):
     def m(self) -> int:
         """Number of inputs."""
         return int(self.directions.cols)
+
+    @cached_property
+    def input_names(self) -> tuple[str, ...]:
+        """Names of the inputs, in order: u, or u1 … um, where they have none of their own."""
+        count = range(1, self.m + 1)
+        return self.inputs or (("u",) if self.m == 1 else tuple(f"u{i}" for i in count))
 
     @cached_property
     def states(self) -> tuple[str, ...]:
@@ -72,6 +79,7 @@ class ControlAffine(Equilibria):
     domain: Mapping[str, tuple[sp.Expr, sp.Expr]] = field(default_factory=dict)
     u_limits: tuple[tuple[float, float], ...] | None = None
     sizes: Mapping[str, sp.Expr] = field(default_factory=dict)
+    inputs: tuple[str, ...] = ()
 
     @property
     def drift(self) -> sp.ImmutableMatrix:

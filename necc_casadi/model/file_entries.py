@@ -19,10 +19,12 @@ __all__ = [
     "damping",
     "damping_matrix",
     "disturbance",
+    "inputs",
     "limits",
+    "parameters",
     "sides_of_states",
     "sizes",
-    "uncertain",
+    "told",
     "weight",
 ]
 
@@ -48,6 +50,27 @@ def limits(file: Reader) -> list[tuple[float, float]] | None:
     return result
 
 
+def inputs(file: Reader, m: int, states: Sequence[str]) -> tuple[str, ...]:
+    """Names of the inputs, (m,); () where there are none."""
+    value = file.space.get("inputs")
+    if value is None:
+        return ()
+    names = value if isinstance(value, (tuple, list)) else (value,)
+    words = all(isinstance(name, str) and name.isidentifier() for name in names)
+    if not words or len(names) != m or len(set(names)) < m:
+        raise ModelError(
+            "model_file",
+            f"inputs = {value} is not a name for each of {m} input(s)",
+            'Write inputs = ("torque",): words of letters and digits, in order, each once.',
+        )
+    for name in names:
+        if name in {*states, *file.parameters}:
+            raise ModelError(
+                "name_clash", f"inputs names {name}, a state or a parameter", "Rename one of them."
+            )
+    return tuple(map(str, names))
+
+
 def sides_of_states(file: Reader, label: str, states: Sequence[str]) -> dict[str, Range]:
     """The `domain` or the `setpoints`: (lo, hi) by the names of states."""
     result = {}
@@ -69,28 +92,42 @@ def sides_of_states(file: Reader, label: str, states: Sequence[str]) -> dict[str
     return result
 
 
-def uncertain(file: Reader) -> dict[str, Range]:
-    """Ranges of parameters that are constant and unknown."""
+def parameters(file: Reader, label: str) -> dict[str, Range]:
+    """Ranges of parameters: those that are `uncertain`, or told at `runtime`."""
     result = {}
-    for name, side in file.table("uncertain").items():
+    for name, side in file.table(label).items():
         value = file.parameters.get(name)
         if value is None:
             raise ModelError(
                 "param",
-                f"uncertain names {name}, which is no parameter",
+                f"{label} names {name}, which is no parameter",
                 f"Parameters: {', '.join(file.parameters) or 'none; write params = {m: 1}'}.",
             )
         if not name.isidentifier():  # it stands in sentences that are proved
-            raise ModelError("param", f"uncertain names {name}, which is no word", "Rename it.")
+            raise ModelError("param", f"{label} names {name}, which is no word", "Rename it.")
         pair = _pair(file, side)
         if pair is None or not pair[0] <= value <= pair[1]:
             raise ModelError(
                 "param",
-                f"uncertain[{name}] = {side} is not a pair (lo, hi) around {value}",
+                f"{label}[{name}] = {side} is not a pair (lo, hi) around {value}",
                 "Give the least and the greatest value, the nominal one between them.",
             )
         result[name] = pair
     return result
+
+
+def told(file: Reader) -> dict[str, Range]:
+    """Ranges of parameters that the controller is told at run time, none of them unknown."""
+    found, unknown = parameters(file, "runtime"), parameters(file, "uncertain")
+    for name, (lo, hi) in found.items():
+        if name in unknown or lo == hi:
+            raise ModelError(
+                "param",
+                f"runtime names {name}, which is "
+                + ("uncertain, too" if name in unknown else "one value alone"),
+                "A parameter is told at run time, or unknown; its range has lo < hi.",
+            )
+    return found
 
 
 def disturbance(file: Reader, m: int) -> tuple[Range, ...]:

@@ -21,7 +21,7 @@ from necc_casadi.model.sizes import Sizes
 from necc_casadi.symbolic.linear_algebra import tidy
 from necc_casadi.symbolic.zero import is_zero
 
-__all__ = ["Lagrangian", "Plants", "integral_obstacle", "lagrangian"]
+__all__ = ["Lagrangian", "Plants", "integral_obstacle", "lagrangian", "varied_plant"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,14 +38,14 @@ class Lagrangian:
 
 @dataclass(frozen=True, eq=False)
 class Plants:
-    """The plants of a model whose parameters are constant and unknown, within ranges."""
+    """The plants of a model of which some parameters are constants within ranges."""
 
     parametric: Parametric
     ranges: Mapping[str, Range]  # parameter -> (least, greatest), exact
 
     @property
     def varied(self) -> Parametric:
-        """J, R, G and H with the uncertain parameters as symbols, the others at their values."""
+        """J, R, G and H with these parameters as symbols, the others at their values."""
         known = {k: v for k, v in self.parametric.values.items() if k not in self.ranges}
         return self.parametric.at(known)
 

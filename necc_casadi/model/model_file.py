@@ -36,9 +36,9 @@ from necc_casadi.model.modulated import (
 )
 from necc_casadi.model.parametric import Parametric
 from necc_casadi.model.plant import Plant, make_plant
-from necc_casadi.model.ranges import Ranges
+from necc_casadi.model.ranges import Range, Ranges
 from necc_casadi.model.reader import Reader, inputs_inside, printable, real, source, stands_inside
-from necc_casadi.model.sizes import input_names
+from necc_casadi.model.urdf import read_urdf
 from necc_casadi.texts import escaped
 
 __all__ = ["Model", "load_model", "make_model"]
@@ -54,7 +54,7 @@ _AFFINE = ("x", "f", "G")
 _OPTIONAL = (
     "params", "xi", "Jc", "Rc", "Gc", "casimirs", "target", "domain", "sizes", "D", "Dc",
     "u_limits", "units", "name", "state_cost", "input_cost", "u", "E", "f", "measured",
-    "uncertain", "setpoints", "disturbance",
+    "uncertain", "setpoints", "disturbance", "runtime", "inputs",
 )  # fmt: skip
 
 
@@ -90,6 +90,7 @@ class Model:
     params: Mapping[str, sp.Expr] = field(default_factory=dict)  # values, exact
     notes: tuple[str, ...] = ()  # names in the file that look mistyped
     ranges: Ranges = field(default_factory=Ranges)  # of set-points and uncertain parameters
+    told: Mapping[str, Range] = field(default_factory=dict)  # of parameters told at run time
     parametric: Parametric | None = None  # the plant before values were put in; None: no parameter
 
     @cached_property
@@ -117,7 +118,7 @@ def load_model(path: str | Path, overrides: Mapping[str, str] | None = None) -> 
     Parameters
     ----------
     path
-        The model file.
+        The model file; or an arm in URDF, ``arm.urdf``, as :func:`read_urdf` reads it.
     overrides
         Values of parameters by name, as texts (``--param``).
 
@@ -142,6 +143,8 @@ def load_model(path: str | Path, overrides: Mapping[str, str] | None = None) -> 
     Its parameters: none.
     """
     path = Path(path)
+    if path.suffix == ".urdf":
+        return _checked(path.name, escaped(path.stem), read_urdf(path), overrides or {})
     space = _execute(path)
     model = _checked(path.name, escaped(path.stem), space, overrides or {})
     return replace(model, notes=_mistyped(space))
@@ -240,6 +243,8 @@ def _execute(path: Path) -> dict[str, Any]:
             f"{path.name}, line {problem.lineno}: {problem.msg}",
             "Correct the Python syntax there.",
         ) from None
+    except InputError:
+        raise
     except (Exception, SystemExit) as problem:
         frames = traceback.extract_tb(problem.__traceback__)
         line = next((f.lineno for f in reversed(frames) if f.filename == str(path)), "?")
@@ -278,10 +283,11 @@ def _build(title: str, space: dict[str, Any], overrides: Mapping[str, str]) -> M
     controller = _controller(plant, file) if isinstance(plant, Plant) else None
     inner = () if controller is None else controller.states
     states = (*plant.states, *inner)
+    plant = replace(plant, inputs=entries.inputs(file, plant.m, states))
     plant = replace(
         plant,
         domain=entries.sides_of_states(file, "domain", states),
-        sizes=entries.sizes(file, (*states, *input_names(plant.m))),
+        sizes=entries.sizes(file, (*states, *plant.input_names)),
     )
     named = "target" in space and space["target"] is not None
     return Model(
@@ -296,9 +302,10 @@ def _build(title: str, space: dict[str, Any], overrides: Mapping[str, str]) -> M
         params=file.parameters,
         ranges=Ranges(
             entries.sides_of_states(file, "setpoints", plant.states),
-            entries.uncertain(file),
+            entries.parameters(file, "uncertain"),
             entries.disturbance(file, plant.m),
         ),
+        told=entries.told(file),
         parametric=_parametric(file),
     )
 

@@ -42,6 +42,7 @@ class Modulated(Equilibria):
     domain: Mapping[str, tuple[sp.Expr, sp.Expr]] = field(default_factory=dict)
     u_limits: tuple[tuple[float, float], ...] | None = None
     sizes: Mapping[str, sp.Expr] = field(default_factory=dict)
+    inputs: tuple[str, ...] = ()
 
     @cached_property
     def motion(self) -> sp.ImmutableMatrix:

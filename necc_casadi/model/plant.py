@@ -54,10 +54,11 @@ class Plant(Equilibria):
     R: sp.ImmutableMatrix  # n × n, symmetric, ⪰ 0
     G: sp.ImmutableMatrix  # n × m, full column rank
     H: sp.Expr  # Hamiltonian, scalar
-    units: Mapping[str, str] = field(default_factory=dict)  # name of a state -> unit
+    units: Mapping[str, str] = field(default_factory=dict)  # name of a state or input -> unit
     domain: Mapping[str, tuple[sp.Expr, sp.Expr]] = field(default_factory=dict)
     u_limits: tuple[tuple[float, float], ...] | None = None  # (m,) pairs
     sizes: Mapping[str, sp.Expr] = field(default_factory=dict)  # name of a state or input -> size
+    inputs: tuple[str, ...] = ()  # names, (m,); () for u, or u1 … um
     properties: tuple[Property, ...] = ()
     preliminary: Preliminary | None = None
     #: M(q), n/2 × n/2, where x = (q, p) with p = M q̇ and the controller takes (q, q̇); None: x
@@ -93,6 +94,7 @@ def make_plant(
     *,
     name: str = "plant",
     units: Mapping[str, str] | None = None,
+    inputs: Sequence[str] = (),
     domain: Mapping[str, tuple[sp.Expr, sp.Expr]] | None = None,
     u_limits: Sequence[tuple[float, float]] | None = None,
 ) -> Plant:
@@ -109,7 +111,9 @@ def make_plant(
     name
         Title.
     units
-        State to unit, for texts and plots.
+        State or input to unit, for texts and plots.
+    inputs
+        Names of the inputs; by default u, or u1 … um.
     domain
         State to (lo, hi): where proofs, plots and random starts stay.
     u_limits
@@ -162,6 +166,12 @@ def make_plant(
         code_psd="r_not_psd",
         code_rank="g_rank",
     )
+    if inputs and len(inputs) != ports.cols:
+        raise ModelError(
+            "shape",
+            f"inputs names {len(inputs)} inputs, but G has {ports.cols} columns",
+            "Give one name per input.",
+        )
     if u_limits is not None and len(u_limits) != ports.cols:
         raise ModelError(
             "limits",
@@ -178,6 +188,7 @@ def make_plant(
         units=dict(units or {}),
         domain=dict(domain or {}),
         u_limits=None if u_limits is None else tuple(u_limits),
+        inputs=tuple(inputs),
         properties=properties,
     )
 

@@ -23,7 +23,7 @@ from necc_casadi.model.control_affine import ControlAffine, Equilibria, Prelimin
 from necc_casadi.model.controller import Controller
 from necc_casadi.model.plant import Plant
 from necc_casadi.model.shaped_loop import ShapedLoop
-from necc_casadi.model.sizes import Sizes, input_names
+from necc_casadi.model.sizes import Sizes
 
 __all__ = ["exactly", "rescaled_functions", "rescaled_loop", "rescaled_motion"]
 
@@ -63,6 +63,7 @@ def rescaled_loop(loop: ClosedLoop, units: Sizes) -> ClosedLoop:
             for (lo, hi), size in zip(plant.u_limits, units.input, strict=True)
         ),
         sizes=_sizes(loop, units),
+        inputs=plant.inputs,
         properties=plant.properties,
         preliminary=None
         if plant.preliminary is None
@@ -134,6 +135,6 @@ def _entries(
 
 def _sizes(loop: ClosedLoop, units: Sizes) -> dict[str, sp.Expr]:
     """The sizes that the model names, in the new units."""
-    names = (*loop.states, *input_names(loop.plant.m))
+    names = (*loop.states, *loop.plant.input_names)
     unit = dict(zip(names, [*exactly(units.state), *exactly(units.input)], strict=True))
     return {name: size / unit[name] for name, size in loop.plant.sizes.items()}

@@ -24,7 +24,7 @@ from necc_casadi.model.plant import Plant
 from necc_casadi.symbolic.derivatives import at, gradient
 from necc_casadi.symbolic.floats import to_float
 
-__all__ = ["REACH", "Sizes", "input_names", "natural_sizes", "power_of_two", "with_casimirs"]
+__all__ = ["REACH", "Sizes", "natural_sizes", "power_of_two", "with_casimirs"]
 
 #: Sizes from the middle to the end of a domain.
 REACH = 2
@@ -97,11 +97,6 @@ def _each(values: Vector) -> Vector:
     return np.array([power_of_two(value) for value in values], float)
 
 
-def input_names(m: int) -> tuple[str, ...]:
-    """Names of the inputs: u, or u1 … um."""
-    return ("u",) if m == 1 else tuple(f"u{i + 1}" for i in range(m))
-
-
 def natural_sizes(
     loop: ClosedLoop,
     casimirs: Sequence[sp.Expr],
@@ -153,14 +148,14 @@ def _by_displacement(
     state = _by_velocity(local, state, time)
     inputs = [
         given.get(name, _input_size(local, state, time, k))
-        for k, name in enumerate(input_names(plant.m))
+        for k, name in enumerate(plant.input_names)
     ]
     entries = [*casimirs, *(e for matrix in loop.matrices for e in matrix.todok().values())]
     turning = _turning(entries, loop.controller.xi)
     controller = _controller_sizes(
         loop, turning | given, slopes, state, energy, np.array(inputs), xi
     )
-    names = (*loop.states, *input_names(plant.m))
+    names = (*loop.states, *plant.input_names)
     everything = _sound(np.concatenate([state, controller]))
     return Sizes(
         state=everything,
@@ -286,7 +281,7 @@ def _given(loop: ClosedLoop) -> dict[str, float]:
         if name in loop.states
     }
     limits = plant.u_limits or ()
-    for name, (lo, hi) in zip(input_names(plant.m), limits, strict=False):
+    for name, (lo, hi) in zip(plant.input_names, limits, strict=False):
         sizes[name] = (hi - lo) / 2
     return sizes | {name: float(size) for name, size in plant.sizes.items()}
 
@@ -440,7 +435,7 @@ def _energy(
     found = geometric_mean(stored[has])
     if found is not None:
         return found
-    inputs = [given.get(name, 0.0) for name in input_names(plant.m)]
+    inputs = [given.get(name, 0.0) for name in plant.input_names]
     seen = np.max(np.abs(slopes[:, :n]) * size, axis=1, initial=0.0)
     work = [u * reach for u in inputs for reach in seen]
     found = geometric_mean(work)

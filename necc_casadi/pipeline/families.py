@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from itertools import product
 from typing import TYPE_CHECKING
 
 import sympy as sp
@@ -19,11 +18,7 @@ if TYPE_CHECKING:  # what --check does not need is loaded when it is reached
     from necc_casadi.designs.design import Design
     from necc_casadi.designs.family import Family
 
-__all__ = ["family_notes", "members", "refused_by_all", "with_family"]
-
-
-#: Uncertain parameters of which both ends are designed for.
-_CORNERS = 5
+__all__ = ["family_notes", "family_of", "refused_by_all", "with_family"]
 
 
 def refused_by_all(
@@ -39,18 +34,14 @@ def refused_by_all(
     return found
 
 
-def members(
+def family_of(
     model: Model, method: Method, x_star: Mapping[sp.Symbol, sp.Expr], options: Options
-) -> tuple[sp.Expr, ...]:
-    """Energies of the plants at the ends of uncertain ranges, for which V is to be convex, too."""
-    uncertain = dict(list(model.ranges.uncertain.items())[:_CORNERS])
-    if not (uncertain and options.convex):
-        return ()
+) -> FamilyLoop | None:
+    """The loop of a method for all of the ranges, for which its V is to be designed."""
+    if not model.ranges or options.learn_casimir:
+        return None
     lifted = _lifted(model, method, x_star, options)
-    if isinstance(lifted, NoFamily):
-        return ()
-    corners = product(*uncertain.values())
-    return tuple(lifted.at(dict(zip(uncertain, v, strict=True))).plant.H for v in corners)
+    return None if isinstance(lifted, NoFamily) else lifted
 
 
 def _lifted(

@@ -171,7 +171,7 @@ def read_target(model: Model, text: str | None) -> dict[sp.Symbol, sp.Expr]:
     """x* from --target, else from the model file."""
     text = middle_of_target(text)
     if text is not None:
-        return parse_target(model.system, text)
+        return parse_target(model.system, text, model.target)
     if model.target is not None:
         return target_from_model(model.system, model.target)
     free, dimension = free_coordinates(model.system)
@@ -239,7 +239,7 @@ def _check_integral(request: Request, options: Options, model: Model) -> None:
         "--learn-casimir": options.learn_casimir,
         "--casimir-form sum": options.casimir_form == "sum",
         "setpoints, or a target that is a range": bool(model.ranges.setpoints),
-        "disturbance": bool(model.ranges.disturbance),
+        "runtime": bool(model.told),
     }
     for name, given in beside.items():
         if given:
@@ -267,4 +267,10 @@ def read_options(request: Request, model: Model) -> Options:
     check_options(options)
     if request.integral is not False:
         _check_integral(request, options, model)
+    if model.told and model.parametric is None:
+        raise OptionError(
+            "param",
+            f"runtime names {', '.join(model.told)}, but the plant is not one with J, R, G and H",
+            "Write it by q, M, V and B, or leave runtime out.",
+        )
     return options

@@ -164,9 +164,7 @@ class Result:
                 "to_control needs python-control, which is not installed",
                 "Install it: python -m pip install control.",
             ) from None
-        from necc_casadi.model.sizes import input_names
-
-        names = list(input_names(made.loop.plant.m))
+        names = list(made.loop.plant.input_names)
         return control.ss(
             *made.loop_transfer(),
             states=list(made.loop.states),

@@ -17,15 +17,18 @@ from typing import TYPE_CHECKING, Any
 
 import sympy as sp
 
+from necc_casadi.arrays import Vector
 from necc_casadi.errors import InputError
 from necc_casadi.files import LISTING, check_writable, write_text
 from necc_casadi.folders import whole_folder
 from necc_casadi.interrupts import uninterrupted
 from necc_casadi.methods.find import Found, find_method
 from necc_casadi.methods.method import Method
-from necc_casadi.model.family_loop import NoFamily
+from necc_casadi.model.family_loop import FamilyLoop, NoFamily
 from necc_casadi.model.lagrangian import Plants
 from necc_casadi.model.model_file import Model
+from necc_casadi.model.modulated import System
+from necc_casadi.model.parametric import Parametric
 from necc_casadi.model.plant import Plant
 from necc_casadi.model.ranges import Range
 from necc_casadi.model.spot_checks import check_model_at
@@ -40,7 +43,7 @@ from necc_casadi.pipeline.advice import (
 from necc_casadi.pipeline.clock import Clock, Say
 from necc_casadi.pipeline.families import (
     family_notes,
-    members,
+    family_of,
     refused_by_all,
     with_family,
 )
@@ -64,6 +67,7 @@ if TYPE_CHECKING:  # what --check does not need is loaded when it is reached
     from necc_casadi.designs.family import Family
     from necc_casadi.designs.outcome import Start
     from necc_casadi.export.sampled_loop import SampledLoop
+    from necc_casadi.performance.beside_proof import BesideProof
     from necc_casadi.performance.measure import Performance
     from necc_casadi.simulation.responses import Trajectory
     from necc_casadi.synthesis.asked import Answer
@@ -75,8 +79,8 @@ __all__ = ["REPORT", "run_design", "write_run"]
 REPORT = "report.html"
 
 
-#: Structures of one method that are designed for, to keep the one that responds best.
-_STRUCTURES = 2
+#: Structures that may be designed for, to keep one; the third only if nothing else is proved.
+_STRUCTURES = 3
 
 
 _RESPONSES = 10
@@ -128,7 +132,10 @@ def run_design(request: Request, say: Say) -> Findings:
     with whole_folder(request.out, _expected(request)) as folder:
         kept, task = _kept(request, task, clock)
         with ThreadPoolExecutor(1) as pool:  # compilers run while the loop is simulated and drawn
-            exported = pool.submit(_exported, request, kept.design, kept.certificate, folder, clock)
+            parametric = task.model.parametric
+            exported = pool.submit(
+                _exported, request, kept.design, kept.certificate, parametric, folder, clock
+            )
             found = _studied(request, task, found, kept, clock)
             return _written(request, found, folder, exported.result, clock)
 
@@ -154,7 +161,7 @@ def write_run(request: Request, found: Findings, out: Path, say: Say) -> Finding
             request,
             found,
             folder,
-            lambda: _exported(request, made, certificate, folder, clock),
+            lambda: _exported(request, made, certificate, found.parametric, folder, clock),
             clock,
         )
 
@@ -175,6 +182,7 @@ def _studied(request: Request, task: _Task, found: Findings, kept: _Kept, clock:
     sweep: tuple[SweepPoint, ...] = ()
     if request.sweep_a is not None:
         sweep = _swept(request.sweep_a, task, choice.kept.options, clock)
+    performance = _compared(request, task, made, clock) if request.compare else None
     sampling = _sampled(request, made)
     warning = None if sampling is None else sampling.warning
     return replace(
@@ -188,8 +196,10 @@ def _studied(request: Request, task: _Task, found: Findings, kept: _Kept, clock:
         simulated_share=motion.share,
         sampling=sampling,
         family=kept.family,
+        beside=_beside_proof(made, certificate, kept.family, task.model.parametric, clock),
         asked=choice.kept.asked if made.integral is None else None,
-        performance=_compared(request, task, made, clock) if request.compare else None,
+        performance=performance,
+        parameter_errors=_displaced(request, task, made, performance, clock),
         sweep=sweep,
         notes=(
             *task.notes,
@@ -307,7 +317,7 @@ def _answered(task: _Task, options: Options, say: Say) -> Answer:
     return answered(method.loop, method.casimirs, method.verdict, task.x_star, options, report)
 
 
-def _chosen(task: _Task, clock: Clock) -> tuple[Choice, _Task]:
+def _chosen(request: Request, task: _Task, clock: Clock) -> tuple[Choice, _Task]:
     """Train, damp and prove what the options leave to choose from, and keep one.
 
     The task that comes back names the structure that is kept.
@@ -315,9 +325,16 @@ def _chosen(task: _Task, clock: Clock) -> tuple[Choice, _Task]:
     from necc_casadi.choice.structures import best_structure
 
     methods = (task.method, *task.found.alternatives)
-    choice, method, seconds = best_structure(methods, task.x_star, task.options, clock.say)
-    clock.timings.update(seconds)
-    return choice, replace(task, found=replace(task.found, chosen=method))
+
+    def family(method: Method) -> FamilyLoop | None:
+        if request.integral is not False:
+            return None
+        return family_of(task.model, method, task.x_star, task.options)
+
+    kept = best_structure(methods, task.x_star, task.options, clock.say, family)
+    clock.timings.update(kept.seconds)
+    found = replace(task.found, chosen=kept.method, passed=kept.passed)
+    return kept.choice, replace(task, found=found)
 
 
 @dataclass(frozen=True, eq=False)
@@ -333,7 +350,7 @@ class _Kept:
 
 def _kept(request: Request, task: _Task, clock: Clock) -> tuple[_Kept, _Task]:
     """The choice, with integral action on top and the sampled loop proved where asked for."""
-    choice, task = _chosen(_with_members(request, task), clock)
+    choice, task = _chosen(request, task, clock)
     made, certificate = _with_plants(request, task, choice, clock)
     family, because = None, None
     if task.model.ranges and request.integral is False:
@@ -352,14 +369,6 @@ def _no_family(request: Request, task: _Task) -> NoFamily | None:
     return refused_by_all(task.model, methods, task.x_star, task.options)
 
 
-def _with_members(request: Request, task: _Task) -> _Task:
-    """The task whose V is to be convex for uncertain plants, too."""
-    if request.integral is not False:
-        return task
-    others = members(task.model, task.method, task.x_star, task.options)
-    return replace(task, options=replace(task.options, members=others))
-
-
 def _with_plants(
     request: Request, task: _Task, choice: Choice, clock: Clock
 ) -> tuple[Design, Certificate]:
@@ -370,17 +379,18 @@ def _with_plants(
         plants = Plants(task.model.parametric, ranges.uncertain)
     if request.integral is False:
         made, certificate = choice.design, choice.certificate
-        if ranges.setpoints:
+        told = _told(task.model)
+        if ranges.setpoints or told is not None:
             with clock.stage("setpoints", "proving a box for all set-points"):
-                made, certificate = _with_setpoints(made, certificate, ranges.setpoints)
+                made, certificate = _with_setpoints(made, certificate, ranges.setpoints, told)
         return made, _with_momenta(made, certificate, plants)
     from necc_casadi.certificate.prover.certify import certify
     from necc_casadi.synthesis.integral import with_integral
 
     with clock.stage("integral", "adding integral action"):
         tau = None if request.integral is True else float(request.integral)
-        made = with_integral(choice.design, tau, plants)
-        return made, certify(made, plants=plants)
+        made = with_integral(choice.design, tau, plants, ranges.disturbance)
+        return made, certify(made, plants=plants, disturbance=ranges.disturbance)
 
 
 def _with_sampled_loop(
@@ -396,21 +406,29 @@ def _with_sampled_loop(
 
 
 def _with_setpoints(
-    made: Design, certificate: Certificate, setpoints: Mapping[str, Range]
+    made: Design, certificate: Certificate, setpoints: Mapping[str, Range], told: Plants | None
 ) -> tuple[Design, Certificate]:
-    """The design with set-points that move, where its code can move them.
+    """The design with set-points that move and parameters that are told, where its code can.
 
     What else is proved of it stays as it is.
     """
     from necc_casadi.certificate.claims.statements import SETPOINTS_ARE_NOT_COVERED
     from necc_casadi.certificate.prover.setpoints import prove_setpoints
 
-    moving = replace(made, setpoints=setpoints)
+    moving = replace(made, setpoints=setpoints, told=told)
     claim = prove_setpoints(moving)
     if claim is not None and claim.statement == SETPOINTS_ARE_NOT_COVERED:
         return made, certificate
     claims = certificate.claims if claim is None else (*certificate.claims, claim)
     return moving, replace(certificate, design_hash=moving.hash, claims=claims)
+
+
+def _told(model: Model) -> Plants | None:
+    """The plant with the parameters that are told at run time; None where none are."""
+    if not model.told or model.parametric is None:
+        return None
+    known = {k: v for k, v in model.parametric.values.items() if k not in model.told}
+    return Plants(model.parametric.at(known), model.told)
 
 
 def _with_momenta(made: Design, certificate: Certificate, plants: Plants | None) -> Certificate:
@@ -447,22 +465,64 @@ def _simulated(made: Design, clock: Clock) -> _Motion:
         return _Motion(responses, simulated_share(made, made.momenta, made.seed))
 
 
+def _beside_proof(
+    made: Design,
+    certificate: Certificate,
+    family: Family | None,
+    parametric: Parametric | None,
+    clock: Clock,
+) -> BesideProof | None:
+    """Plants that the proof is about, simulated; None where it is about one plant."""
+    from necc_casadi.performance.beside_proof import beside_proof, proved
+
+    found = proved(made, certificate, family)
+    if found is None:
+        return None
+    with clock.stage("plants", "simulating plants of the ranges that are proved"):
+        return beside_proof(made, found, parametric, made.seed)
+
+
 def _compared(request: Request, task: _Task, made: Design, clock: Clock) -> Performance:
     """Measure the design beside LQR and the optimum, and on plants that differ a little."""
     from necc_casadi.performance.measure import measure
 
     with clock.stage("compare", "comparing with LQR and the optimum"):
-        others = {}
-        for name, value in task.model.params.items():
-            if value != 0:
-                changed = f"{name}={sp.sstr(value * _LARGER)}"
-                with contextlib.suppress(InputError):  # no such plant: nothing to hold
-                    others[name] = read_model(request, changed).system
+        others = _with_larger_parameters(request, task)
         return measure(made, cost=task.options.cost(made.sizes, made.loop.plant.n), others=others)
 
 
+def _displaced(
+    request: Request, task: _Task, made: Design, known: Performance | None, clock: Clock
+) -> Mapping[str, Vector | None]:
+    """Where a controller that contains the model rests when a parameter is wrong."""
+    from necc_casadi.performance.steady_error import parameter_errors
+
+    if task.method.name == "interconnection":
+        return {}
+    if known is not None:
+        return known.errors.parameters
+    with clock.stage("compare", "trying other parameters"):
+        return parameter_errors(made, _with_larger_parameters(request, task))
+
+
+def _with_larger_parameters(request: Request, task: _Task) -> dict[str, System]:
+    """The plant with each of its parameters a little larger, by name."""
+    others = {}
+    for name, value in task.model.params.items():
+        if value != 0:
+            changed = f"{name}={sp.sstr(value * _LARGER)}"
+            with contextlib.suppress(InputError):  # no such plant: nothing to hold
+                others[name] = read_model(request, changed).system
+    return others
+
+
 def _exported(
-    request: Request, made: Design, certificate: Certificate, out: Path, clock: Clock
+    request: Request,
+    made: Design,
+    certificate: Certificate,
+    parametric: Parametric | None,
+    out: Path,
+    clock: Clock,
 ) -> list[Path]:
     """Write the C controller and what was asked for around it."""
     from necc_casadi.export.c_project import export_c
@@ -475,6 +535,7 @@ def _exported(
         "integrator": request.integrator,
         "prefix": request.prefix,
         "certificate": certificate,
+        "parametric": parametric,
     }
     with clock.stage("export", "writing the C controller"):
         files = export_c(made, out / "c", **common)

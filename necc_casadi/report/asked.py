@@ -45,12 +45,26 @@ def _why(asked: Asked) -> str:
     if asked.stopped_by == "input_peak":
         if asked.held_outside:
             return f"holding the target takes u = {_values(asked.held)}"
-        if asked.unlimited is None:
+        if asked.unlimited is None or _fast_enough(asked):
             return "no weight of the inputs that was tried keeps the peak"
-        return f"the peak of u stops it: without, {asked.unlimited:.3g} 1/s was reached"
+        tried = "faster loops that were tried take more" if _kept(asked) else "no loop keeps it"
+        free = f"with no limit {asked.unlimited:.3g} 1/s is reached"
+        return f"the peak of u stops it: {tried}; {free}"
     if asked.stopped_by == "norm_bound":
         return "a faster loop needs modes more than 6 times as fast as those of LQR at this rate"
     return "no faster loop of this structure was found: u sees the plant through y and Casimirs"
+
+
+def _fast_enough(asked: Asked) -> bool:
+    return asked.rate is None or asked.rate_reached >= asked.rate
+
+
+def _kept(asked: Asked) -> bool:
+    """Whether the peak is kept."""
+    if asked.peaks is None or asked.limits is None:
+        return True
+    low, high = (asked.peaks - asked.limits).T
+    return bool(np.all(low >= 0) and np.all(high <= 0))
 
 
 def _values(values: Vector) -> str:

@@ -11,7 +11,6 @@ from matplotlib.figure import Figure
 
 from necc_casadi.arrays import Vector
 from necc_casadi.designs.design import Design
-from necc_casadi.model.sizes import input_names
 from necc_casadi.performance.margins import Sweep
 from necc_casadi.performance.measure import Curve, Loop, Performance
 from necc_casadi.report.figures import coarse_enough, draw_limits, named_input, named_state
@@ -73,7 +72,7 @@ def step_figure(design: Design, found: Performance) -> Figure | None:
 def step_names(design: Design, found: Performance) -> list[str]:
     """What a figure of the step has panels for: states and inputs, by name."""
     states = [design.loop.plant.states[k] for k in _telling(found.step, design)]
-    return [*states, *input_names(design.loop.plant.m)[:_MOST_INPUTS]]
+    return [*states, *design.loop.plant.input_names[:_MOST_INPUTS]]
 
 
 def draw_step(axis: Axes, design: Design, found: Performance, name: str) -> None:
@@ -85,7 +84,7 @@ def draw_step(axis: Axes, design: Design, found: Performance, name: str) -> None
         _panel(axis, [(c, c.x[:, k]) for c in found.step], float(design.z_star[k]), size)
         label = named_state(design, k)
     else:
-        k = input_names(design.loop.plant.m).index(name)
+        k = design.loop.plant.input_names.index(name)
         held = design.lyapunov.control_law(design.z_star[:n], design.xi_star)[0]
         size = float(design.sizes.input[k])
         _panel(axis, [(c, c.u[:, k]) for c in found.step], float(held[k]), size)

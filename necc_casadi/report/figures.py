@@ -14,7 +14,6 @@ from matplotlib.path import Path as Curve
 from necc_casadi.arrays import Vector
 from necc_casadi.certificate.claims.regions import Obstacle, Side
 from necc_casadi.designs.design import Design
-from necc_casadi.model.sizes import input_names
 from necc_casadi.report.contours import contour_levels, number_contours, without_poles
 from necc_casadi.report.slices import Window, domain_window, shadow, slice_boundary, slice_values
 from necc_casadi.report.style import Drawing
@@ -74,6 +73,14 @@ _AFTER = 0.25
 
 #: An obstacle lies over Ω's shadow, not beside it, where it is nearer to z̄ than this share of it.
 _WITHIN = 0.95
+
+
+#: Height of a line of a title, in inches.
+_LINE = 0.17
+
+
+#: A state that travels less than this, in sizes, is at rest.
+_STILL = 1e-6
 
 
 #: V − V(z̄) below this, in natural units, is rounding.
@@ -190,16 +197,16 @@ def region_figure(
 
     Responses leave the slice because ξ moves, but not the shadow.
     """
-    figure = panels(1, 1, (5.45, 4.1), legend=0.85)
-    axis = figure.add_subplot()
-    draw_region(axis, design, level, responses, reach, obstacle)
-    figure.legend(loc="lower center", ncols=2, fontsize=8)
     domain = domain_window(design)
     window, edge = _window(design, level, _telling_sides(design, reach))
     low, high = edge.min(axis=0), edge.max(axis=0)
     goes_on = (low < window.lo).any() or (high > window.hi).any()
+    figure = panels(1, 1, (5.45, 4.1), legend=0.85, above=_LINE if goes_on else 0.0)
+    axis = figure.add_subplot()
+    draw_region(axis, design, level, responses, reach, obstacle)
+    figure.legend(loc="lower center", ncols=2, fontsize=8)
     title = f"{design.loop.plant.name}: proved region Ω"
-    title += f", {_extent(design, low, high)}" if goes_on else ""
+    title += f"\nΩ: {_extent(design, low, high)}" if goes_on else ""
     shown = _extent(design, domain.lo, domain.hi)  # Ω may be a small part
     axis.set_title(f"{title}\ndomain: {shown}", fontsize=8 if goes_on else 9)
     return figure
@@ -306,14 +313,14 @@ def responses_figure(design: Design, trajectories: Sequence[Trajectory]) -> Figu
 def shown_over_time(design: Design, trajectories: Sequence[Trajectory]) -> list[str]:
     """What a figure of responses has panels for: states, inputs and V, by name."""
     states = [design.loop.states[k] for k in _telling_states(design, trajectories)]
-    return [*states, *input_names(design.loop.plant.m)[:_MOST_PANELS], "V"]
+    return [*states, *design.loop.plant.input_names[:_MOST_PANELS], "V"]
 
 
 def draw_over_time(
     axis: Axes, design: Design, trajectories: Sequence[Trajectory], name: str
 ) -> None:
     """A state, an input, or V − V(z̄) as ``V``, along responses on any axes."""
-    states, inputs = design.loop.states, input_names(design.loop.plant.m)
+    states, inputs = design.loop.states, design.loop.plant.input_names
     n = design.loop.plant.n
     curves = [(response.t, _over_time(design, response, name)) for response in trajectories]
     for response, (t, values) in zip(trajectories, curves, strict=True):
@@ -353,16 +360,20 @@ def _settled(trajectories: Sequence[Trajectory]) -> float:
 
 
 def _telling_states(design: Design, trajectories: Sequence[Trajectory]) -> list[int]:
-    """All states where they fit, else those that travel farthest, in order."""
-    total = len(design.loop.states)
-    if total <= _MOST_PANELS or not trajectories:
+    """All states where they fit, else those that travel farthest, in order.
+
+    A controller's state that never moves, as where damping alone holds the target, tells nothing.
+    """
+    total, n = len(design.loop.states), design.loop.plant.n
+    if not trajectories:
         return list(range(min(total, _MOST_PANELS)))
     travel = np.max([np.ptp(r.z / design.sizes.state, axis=0) for r in trajectories], axis=0)
-    return sorted(int(k) for k in np.argsort(-travel)[:_MOST_PANELS])
+    telling = [k for k in np.argsort(-travel).tolist() if k < n or travel[k] > _STILL]
+    return sorted(telling[:_MOST_PANELS])
 
 
 def _over_time(design: Design, response: Trajectory, name: str) -> Vector:
-    states, inputs = design.loop.states, input_names(design.loop.plant.m)
+    states, inputs = design.loop.states, design.loop.plant.input_names
     if name in states:
         return response.z[:, states.index(name)]
     if name in inputs:
@@ -372,7 +383,7 @@ def _over_time(design: Design, response: Trajectory, name: str) -> Vector:
 
 def named_input(design: Design, index: int) -> tuple[str, str]:
     """Name and unit of an input."""
-    name = input_names(design.loop.plant.m)[index]
+    name = design.loop.plant.input_names[index]
     return name, design.loop.plant.units.get(name, "")
 
 

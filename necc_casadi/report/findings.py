@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import sympy as sp
 
+from necc_casadi.arrays import Vector
 from necc_casadi.errors import OptionError
 from necc_casadi.methods.find import Found
 from necc_casadi.methods.method import Method
@@ -25,6 +26,7 @@ if TYPE_CHECKING:  # a verdict alone needs none of these
     from necc_casadi.designs.measures import Measures
     from necc_casadi.export.sampled_loop import SampledLoop
     from necc_casadi.model.family_loop import NoFamily
+    from necc_casadi.performance.beside_proof import BesideProof
     from necc_casadi.performance.measure import Performance
     from necc_casadi.simulation.responses import Trajectory
     from necc_casadi.synthesis.asked import Asked
@@ -48,8 +50,10 @@ class Findings:
     sampling: SampledLoop | None = None
     asked: Asked | None = None  # of the response
     performance: Performance | None = None  # with --compare
+    parameter_errors: Mapping[str, Vector | None] = field(default_factory=dict)  # as of Errors
     sweep: Sequence[SweepPoint] = ()
     family: Family | None = None  # that the design is one of
+    beside: BesideProof | None = None  # plants that a proof is about, simulated
     no_family: NoFamily | None = None  # why there is provably none
     parametric: Parametric | None = None  # the plant with its parameters as symbols
     notes: tuple[str, ...] = ()

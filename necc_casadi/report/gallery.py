@@ -15,6 +15,7 @@ from necc_casadi.report.figures import (
 )
 from necc_casadi.report.findings import Findings
 from necc_casadi.report.landscape_figure import landscape_figure
+from necc_casadi.report.proof_figure import proof_figure
 from necc_casadi.report.style import styled
 from necc_casadi.simulation.responses import Trajectory, response_from
 
@@ -35,6 +36,9 @@ def figures_of(found: Findings) -> dict[str, Figure]:
                 made, certificate.level, inside, certificate.reach, certificate.obstacle
             )
         figures["landscape"] = landscape_figure(made, certificate)
+        if found.beside is not None:
+            plant = made.loop.plant
+            figures["proof"] = proof_figure(found.beside, plant.name, plant.states, plant.units)
         if found.performance is not None:
             from necc_casadi.report.comparison_figures import frequency_figure, step_figure
 

@@ -15,7 +15,6 @@ from necc_casadi.designs.design import Design
 from necc_casadi.model.closed_loop import ClosedLoop
 from necc_casadi.model.plant import Plant
 from necc_casadi.model.shaped_loop import ShapedLoop
-from necc_casadi.model.sizes import input_names
 from necc_casadi.report import mathml
 from necc_casadi.report.compared import cells, error_lines
 from necc_casadi.report.findings import Findings
@@ -31,6 +30,8 @@ _CAPTIONS = {
     "responses": "Simulated responses from ten random states, inputs within their limits.",
     "region": "The proved region, its slice through the target and its shadow over all states.",
     "landscape": "The least V − V(z̄) over all states that are not shown, and what ends the region.",
+    "proof": "Plants of the ranges that are proved, the corners of these first, each from a random "
+    "state; the band in which every one of them is proved to rest. Simulated beside proved.",
     "step": "From one size below the target, beside LQR and the optimum. Simulated.",
     "loop": "The loop broken at the plant's input, Bode and Nyquist. Computed at z̄.",
     "sweep": "Designs for several curvatures a asked of V at the target.",
@@ -89,7 +90,7 @@ def report(found: Findings, figures: Mapping[str, Figure], command: str = "") ->
             "Design",
             _lyapunov(made) + _facts(found, ("sizes", "design", "minimum", "loop", "sampled")),
         ),
-        ("What is proved", _claims(certificate) + _facts(found, ("family", "region"))),
+        ("What is proved", _claims(certificate) + _facts(found, ("family", "plants", "region"))),
         ("How it responds", _facts(found, ("asked", "NOT met", "responses", "starts"))),
         ("Beside LQR and the optimum", _compared(found, plant)),
         ("Figures", _figures(figures)),
@@ -171,7 +172,7 @@ def _dotted(symbols: Sequence[sp.Symbol]) -> str:
 def _plant(found: Findings) -> list[str]:
     """ẋ as the model file gives it, and H where it has one."""
     m, o, system = mathml, mathml.operator, found.system
-    rate, u = _dotted(system.x), m.column([m.identifier(name) for name in input_names(system.m)])
+    rate, u = _dotted(system.x), m.column([m.identifier(name) for name in system.input_names])
     if not isinstance(system, Plant):
         f, g = m.matrix(sp.Matrix(system.drift)), m.matrix(sp.Matrix(system.directions))
         return [m.formula(rate, o("="), f, o("+"), g, u)]
@@ -192,7 +193,7 @@ _INNER = "<msub><mi>v</mi><mi>c</mi></msub>"
 def _controller(loop: ClosedLoop) -> list[str]:
     """The control law, with what is fed back ahead of it."""
     m, o, ahead = mathml, mathml.operator, loop.plant.preliminary
-    inputs = m.column([m.identifier(name) for name in input_names(loop.plant.m)])
+    inputs = m.column([m.identifier(name) for name in loop.plant.input_names])
     given = inputs if ahead is None else m.identifier("w")
     law = m.formula(
         given, o("="), o("−"), m.matrix(sp.Matrix(loop.feedback)), _SLOPE, o("+"),

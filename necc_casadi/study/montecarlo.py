@@ -11,9 +11,8 @@ import numpy as np
 
 from necc_casadi.designs.design import Design
 from necc_casadi.designs.plant_file import parse_plant
-from necc_casadi.model.sizes import input_names
+from necc_casadi.simulation.perturbed import OtherPlants
 from necc_casadi.simulation.responses import random_states
-from necc_casadi.study.perturbed import OtherPlants
 from necc_casadi.study.rows import Row
 from necc_casadi.study.vary import Band
 
@@ -44,7 +43,7 @@ class MonteCarlo:
             "converging_share",
             "settling_time",
             *(f"offset_{name}" for name in made.loop.plant.states),
-            *(f"peak_{name}" for name in input_names(made.loop.plant.m)),
+            *(f"peak_{name}" for name in made.loop.plant.input_names),
         )
 
     @property

@@ -17,6 +17,7 @@ from necc_casadi.symbolic.fold import Algebra, fold
 
 __all__ = [
     "ball",
+    "beyond",
     "certain_sign",
     "enclosure",
     "excludes_zero",
@@ -46,6 +47,16 @@ def certain_sign(expr: sp.Expr, bits: int = _GROWING[-1]) -> int | None:
             if value > 0 or value < 0:
                 return 1 if value > 0 else -1
     return None
+
+
+def beyond(expr: sp.Expr, bound: int) -> bool:
+    """Whether a real constant is certainly larger than `bound` in size; cheap, however large."""
+    for digits in _GROWING:
+        with flint.ctx.workprec(digits):
+            value = _real(expr)
+            if value is not None:
+                return bool(abs(value) > bound)
+    return False
 
 
 def excludes_zero(expr: sp.Expr, point: Mapping[sp.Symbol, sp.Expr], bits: int) -> bool | None:

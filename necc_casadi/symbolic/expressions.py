@@ -15,6 +15,7 @@ from collections.abc import Callable, Mapping
 import sympy as sp
 
 from necc_casadi.errors import InputError
+from necc_casadi.symbolic.arb import beyond
 from necc_casadi.symbolic.floats import steady_precision, to_float
 
 __all__ = [
@@ -129,7 +130,12 @@ def _convert(node: ast.expr, source: str, symbols: Mapping[str, sp.Symbol]) -> s
                 _piece(node, source),
             )
         case ast.Call(func=ast.Name(id=name), args=[argument], keywords=[]) if name in FUNCTIONS:
-            return FUNCTIONS[name](_convert(argument, source, symbols))
+            inner = _convert(argument, source, symbols)
+            if inner.is_number and is_finite(inner) and beyond(inner, 10**_MAX_EXPONENT):
+                raise ValueError(
+                    f"the argument of {_piece(node, source)} exceeds 1e{_MAX_EXPONENT}"
+                )
+            return FUNCTIONS[name](inner)
     raise ValueError(f"{_piece(node, source)} is not allowed in an expression")
 
 

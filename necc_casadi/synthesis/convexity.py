@@ -40,11 +40,11 @@ def least_kappa(
     xi_star: Vector,
     a: Vector,
     momenta: Sequence[int] = (),
-    members: Sequence[Terms] = (),
+    energies: Sequence[ca.Function] = (),
 ) -> float:
     """The least κ, in natural units, for which quadratic parts alone make V convex at samples.
 
-    `members` are loops of other plants, for which V is to be convex, too.
+    `energies` are those of the members of a family, for which V is to be convex, too.
 
     They must also reach the curvature `a` (n + nc,) at z*, with something to spare, so that the
     networks need not. The samples fill twice the natural domain, whole turns of an angle included.
@@ -54,17 +54,20 @@ def least_kappa(
     somewhere along an invisible direction) the default bound is returned.
     """
     z_star = np.concatenate([x_star, xi_star])
-    hessians = [_hessians(plant, scales, verdict, z_star, momenta) for plant in (terms, *members)]
+    members = [_hessians(terms, H, scales, verdict, z_star, momenta) for H in (terms.H, *energies)]
     asked = np.sqrt(np.outer(a, a))
     relative = np.outer(scales.state, scales.state) / scales.energy
 
     def lowest(kappa: float) -> tuple[float, float]:
-        both = [of_one(kappa) for of_one in hessians]
-        least = float(np.linalg.eigvalsh(both[0][0] / asked)[0])  # asked of the plant itself
-        return least, min(float(np.linalg.eigvalsh(v * relative).min()) for _, v in both)
+        found = [hessians(kappa) for hessians in members]
+        least = min(np.linalg.eigvalsh(at_target / asked)[0] for at_target, _ in found)
+        flattest = min(np.linalg.eigvalsh(around * relative).min() for _, around in found)
+        return float(least), float(flattest)
 
     # invisible directions have the curvature of H and no more: ask for what can be reached
     top, margin = lowest(_STIFFEST)
+    if (top <= 1 or margin <= 0) and energies:  # of the nominal plant alone
+        return least_kappa(terms, scales, verdict, x_star, xi_star, a, momenta)
     if top <= 1 or margin <= 0:
         return KAPPA_MIN
     needed = min(_TO_SPARE, (1 + top) / 2), min(_MARGIN, margin / 2)
@@ -84,7 +87,12 @@ def least_kappa(
 
 
 def _hessians(
-    terms: Terms, scales: Sizes, verdict: Verdict, z_star: Vector, momenta: Sequence[int]
+    terms: Terms,
+    H: ca.Function,
+    scales: Sizes,
+    verdict: Verdict,
+    z_star: Vector,
+    momenta: Sequence[int],
 ) -> Callable[[float], tuple[Vector, Vector]]:
     """κ ↦ ∇²V at z* and at the samples, V = H + λᵀc + ½κ(‖ξ‖² + ‖c − c*‖²) in natural units."""
     n = terms.n
@@ -97,7 +105,7 @@ def _hessians(
     if verdict.lam is not None and len(verdict.lam) == terms.r:
         lam = to_floats(verdict.lam)
     stretch = ca.sumsqr(z[n:] / scales.state[n:]) + ca.sumsqr((c - c_star) / reach)
-    V = terms.H(z[:n]) + ca.dot(lam, c) + kappa * scales.energy / 2 * stretch
+    V = H(z[:n]) + ca.dot(lam, c) + kappa * scales.energy / 2 * stretch
     hessian = ca.Function("hessian", [z, kappa], [ca.hessian(V, z)[0]])
     offsets = np.random.default_rng(0).uniform(-4, 4, (_SAMPLES, len(z_star)))
     samples = z_star + offsets * scales.state

@@ -5,6 +5,8 @@ Damping injection is v = −D Gᵀ∂V/∂x, v_c = −Dc Gcᵀ∂V/∂ξ: here t
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from necc_casadi.arrays import Vector
@@ -33,13 +35,15 @@ def choose_damping(
     z_star: Vector,
     D: Vector | None = None,
     Dc: Vector | None = None,
+    bends: Sequence[Vector] = (),
 ) -> tuple[Vector, Vector]:
     """D, m × m, and Dc, (channels)²: as given, or for the best decay rate of the linearised loop.
 
     Too much damping slows the loop down as much as too little, so the rate is searched over
     multiples of a natural damping, and of those near the best the smallest is taken: it costs
     the least input and amplifies the least noise. The yes or no of stability does not depend
-    on the choice.
+    on the choice. With the `bends` of a family, ∇²V of a member less that of V at z*, the decay
+    rate is that of the slowest member.
     """
     if D is not None and Dc is not None:
         return D, Dc
@@ -56,7 +60,9 @@ def choose_damping(
         )
         for d, dc in _multiples(D is None, Dc is None, many=len(z_star) > _MANY_STATES)
     ]
-    rates = _decay_rates([_generator(M, ports, d, dc) @ hessian for d, dc, _ in candidates])
+    generators = [_generator(M, ports, d, dc) for d, dc, _ in candidates]
+    plants = [hessian, *(hessian + more for more in bends)]
+    rates = np.min([_decay_rates([A @ N for A in generators]) for N in plants], axis=0)
     good = [
         c for c, rate in zip(candidates, rates, strict=True) if rate >= _NEAR_BEST * rates.max()
     ]

@@ -20,6 +20,7 @@ Gahinet (2020), disk margins.
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import casadi as ca
@@ -29,6 +30,7 @@ from necc_casadi.arrays import Vector
 from necc_casadi.designs.outcome import Start
 from necc_casadi.lyapunov.networks import Network
 from necc_casadi.synthesis.lifting import Lifting
+from necc_casadi.synthesis.programs import asked_matrix
 from necc_casadi.synthesis.quadratic_cost import (
     FASTEST,
     SHAPE,
@@ -74,14 +76,17 @@ def descended(
     damping: Vector,
     seed: int,
     moves_V: bool = True,
+    bends: Sequence[Vector] = (),
 ) -> Responsive | None:
     """Quadratic parts and 𝒟 of least cost beside the networks; None where nothing costs less.
 
-    Parameters are those of ``least_cost``; with `moves_V` false, 𝒟 alone moves.
+    Parameters are those of ``least_cost``; with `moves_V` false, 𝒟 alone moves. With the `bends` of
+    a family, ∇²V of a member less that of V at z*, the cost is the mean of the members'.
     """
     began = time.perf_counter()
     moving = Moving(lifting, kappa_min, weights, xi_star, damping, networks=False)
-    objective = _Objective(lifting, aim, a, moving, weights, moves_V)
+    asked = asked_matrix(a, lifting.g.numel())
+    objective = _Objective(lifting, aim, asked, moving, weights, moves_V, bends)
     first = objective.at(objective.first)
     if first is None:
         return None
@@ -111,7 +116,7 @@ def descended(
         before=first.cost,
         after=last.cost,
         at_the_bound=last.speed > _NEAR,
-        gain=objective.loop.gain(last.P),
+        gain=objective.loop.gain(last.P[0]),
     )
 
 
@@ -121,10 +126,10 @@ class _At:
 
     theta: Vector
     value: float
-    cost: float  # over LQR's
-    A: Vector
-    P: Vector
-    gap: Vector  # ∇²V(z*) − diag(a), natural units
+    cost: float  # over LQR's, the mean of the members
+    A: tuple[Vector, ...]  # of the nominal loop, then of the members
+    P: tuple[Vector, ...]
+    gap: Vector  # ∇²V(z*) less what is asked, natural units
     speed: float  # ‖A‖² over what is allowed
     outside: Vector  # of the bounds of η
     peak: _Peak  # of S − T at the plant's input
@@ -160,67 +165,74 @@ class _Objective:
         self,
         lifting: Lifting,
         aim: LinearQuadratic,
-        a: Vector,
+        asked: Vector,
         moving: Moving,
         weights: Vector,
         moves_V: bool,
+        bends: Sequence[Vector],
     ) -> None:
         self.moves_V = moves_V
-        self.loop = LinearLoop(lifting, aim, moving.trained)
+        loops = [LinearLoop(lifting, aim, moving.trained, bend) for bend in (None, *bends)]
+        self.loop = loops[0]
         self.kappas = len(moving.kappa)
         self.bounds = damping_bounds(len(moving.trained))
         s = ca.SX.sym("s", self.kappas)
         small = _stiffened(lifting, moving, weights, s)
         theta = ca.vertcat(s, self.loop.eta)
         size = ca.DM(self.loop.size)
-        gap = (
-            ca.diag(size) @ (lifting.N - ca.diag(ca.DM(a))) @ ca.diag(size) / lifting.scales.energy
-        )
-        parts = [self.loop.A, self.loop.W, gap, self.loop.C]
+        gap = ca.diag(size) @ (lifting.N - ca.DM(asked)) @ ca.diag(size) / lifting.scales.energy
+        parts = [gap, self.loop.C]
+        for loop in loops:
+            parts += ca.substitute([loop.A, loop.W], [loop.eta], [self.loop.eta])
         found = ca.substitute(parts, [lifting.small], [small])
         self._matrices = ca.Function("matrices", [theta], [ca.densify(v) for v in found])
-        duals = [ca.SX.sym(name, *v.shape) for name, v in zip("AWNC", found, strict=True)]
+        duals = [ca.SX.sym(f"d{k}", *v.shape) for k, v in enumerate(found)]
         along = sum((ca.dot(d, v) for d, v in zip(duals, found, strict=True)), ca.SX(0))
         self._slope = ca.Function("slope", [theta, *duals], [ca.gradient(along, theta)])
         self.first = moving.first(np.zeros(self.loop.eta.numel()))
         self.first = np.concatenate([self.first[moving.kappa_at], self.first[moving.eta_at]])
-        gap_at_start = np.asarray(self._matrices.call([self.first])[2], float)
+        gap_at_start = np.asarray(self._matrices.call([self.first])[0], float)
         self.reference = np.linalg.inv(gap_at_start)
         self.frequencies = np.geomspace(*_SWEPT, _POINTS) * aim.fastest
         self.allowed = len(gap_at_start) * (FASTEST * aim.fastest) ** 2
 
     def at(self, theta: Vector) -> _At | None:
         """The objective; None where the loop is not stable or V has too little curvature."""
-        A, W, gap, C = (np.asarray(v, float) for v in self._matrices.call([theta]))
-        if not all(np.isfinite(v).all() for v in (A, W, gap, C)):
+        gap, C, *loops = (np.asarray(v, float) for v in self._matrices.call([theta]))
+        if not all(np.isfinite(v).all() for v in (gap, C, *loops)):
             return None
         if np.linalg.eigvalsh(gap)[0] <= 0:
             return None
-        P = self.loop.cost_of(A, W)
-        if P is None:
-            return None
+        As, Ps = loops[::2], list[Vector]()
+        for A, W in zip(As, loops[1::2], strict=True):
+            P = self.loop.cost_of(A, W)
+            if P is None:
+                return None
+            Ps.append(P)
         low, high = self.bounds
-        eta, cost = theta[self.kappas :], self.loop.relative(P)
+        eta, cost = theta[self.kappas :], float(np.mean([self.loop.relative(P) for P in Ps]))
         outside = np.fmax(eta - high, 0.0) + np.fmin(eta - low, 0.0)
-        relative, speed = self.reference @ gap, float(np.sum(A**2)) / self.allowed
+        relative, speed = self.reference @ gap, float(np.sum(As[0] ** 2)) / self.allowed
         shape = float(np.trace(relative) - np.linalg.slogdet(relative)[1]) - len(gap)
         beyond = max(speed - _NEAR, 0.0) ** 2 + float(outside @ outside)
         value = cost + SHAPE * shape + _DAMPING * float(eta @ eta) / 2 + _BEYOND * beyond
-        peak = _peak(A, C, self.loop.B, self.frequencies)
+        peak = _peak(As[0], C, self.loop.B, self.frequencies)
         value += _ROBUST * max(peak.size - _PEAK, 0.0) ** 2
-        return _At(theta, value, cost, A, P, gap, speed, outside, peak)
+        return _At(theta, value, cost, tuple(As), tuple(Ps), gap, speed, outside, peak)
 
     def slope(self, at: _At) -> Vector:
         """∂J/∂θ."""
         from scipy.linalg import solve_continuous_lyapunov  # slow to import, few runs need it
 
-        Y = solve_continuous_lyapunov(at.A, -self.loop.spread(at.P))
+        dual = list[Vector]()
+        for A, P in zip(at.A, at.P, strict=True):
+            Y = solve_continuous_lyapunov(A, -self.loop.spread(P)) / len(at.A)
+            dual += [2 * P @ Y, Y]
         fast = 4 * _BEYOND * max(at.speed - _NEAR, 0.0) / self.allowed
-        to_A = 2 * at.P @ Y + fast * at.A
         to_gap = SHAPE * (self.reference - np.linalg.inv(at.gap))
         fragile = 2 * _ROBUST * max(at.peak.size - _PEAK, 0.0)
-        to_A = to_A + fragile * at.peak.by_A
-        dual = to_A, Y, to_gap, fragile * at.peak.by_C
+        dual[0] = dual[0] + fast * at.A[0] + fragile * at.peak.by_A
+        dual = [to_gap, fragile * at.peak.by_C, *dual]
         slope = np.asarray(self._slope(at.theta, *dual), float).ravel()
         if not self.moves_V:
             slope[: self.kappas] = 0.0

@@ -7,6 +7,7 @@ proves of the loop with ζ what is suggested here.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 
@@ -22,8 +23,9 @@ from necc_casadi.lyapunov.damping import uncoupled
 from necc_casadi.lyapunov.sympy2casadi import casadi_function
 from necc_casadi.model.closed_loop import ClosedLoop
 from necc_casadi.model.lagrangian import Lagrangian, Plants, integral_obstacle, lagrangian
+from necc_casadi.model.ranges import Range
 from necc_casadi.model.samples import quasi_random
-from necc_casadi.symbolic.derivatives import sparse_hessian
+from necc_casadi.symbolic.derivatives import gradient, sparse_hessian
 
 __all__ = ["refuse_integral", "with_integral"]
 
@@ -48,6 +50,10 @@ _SAMPLES = 32
 _FOR_DISTURBANCE = 0.5
 
 
+#: Limits of ζ over what it has to become, where the inputs have none.
+_SPARE = 1.5
+
+
 def refuse_integral(loop: ClosedLoop, casimirs: tuple[sp.Expr, ...], phi_is_sum: bool) -> None:
     """Refuse what integral action on the position does not cover.
 
@@ -66,15 +72,22 @@ def refuse_integral(loop: ClosedLoop, casimirs: tuple[sp.Expr, ...], phi_is_sum:
         )
 
 
-def with_integral(design: Design, tau: float | None = None, plants: Plants | None = None) -> Design:
+def with_integral(
+    design: Design,
+    tau: float | None = None,
+    plants: Plants | None = None,
+    disturbance: Sequence[Range] = (),
+) -> Design:
     """The design with integral action; τ as given, in s, else chosen.
 
-    With `plants` the damping is enough for every inertia at the ends of their ranges.
+    With `plants` the damping is enough for every inertia at the ends of their ranges, and with
+    `disturbance`, a range for each input, ζ has the room for every one of these.
 
     Raises
     ------
     OptionError
-        Where the plant is not covered, or its springs at the target are too weak for any τ.
+        Where the plant is not covered, its springs at the target are too weak for any τ, or the
+        inputs for the disturbances.
     """
     refuse_integral(design.loop, design.casimirs.functions, design.form.phi is None)
     if design.form.betas:
@@ -100,16 +113,35 @@ def with_integral(design: Design, tau: float | None = None, plants: Plants | Non
         integral=Integral(
             tau=best.tau * units.time,
             gain=best.gain * units.input / (output * units.time),
-            limit=_limits(design),
+            limit=_limits(design, _needed(design, plants, disturbance)),
         ),
     )
 
 
-def _limits(design: Design) -> Vector:
-    """Half of the least room that the inputs have at the target, else what a large input is."""
-    limits = design.loop.plant.u_limits
+def _needed(design: Design, plants: Plants | None, disturbance: Sequence[Range]) -> Vector:
+    """The least and greatest ζ* at the ends of all ranges, (2, m): d less what ∇U is wrong by."""
+    sides = [[float(v) for v in side] for side in disturbance]
+    pushed = np.array(sides or [[0.0, 0.0]] * design.loop.plant.m).T
+    ends = _at_the_ends(design, plants)
+    own = lagrangian(design.loop, design.units)
+    if own is None or not ends:
+        return pushed
+    star = design.natural.z_star[: len(own.q)][None]
+    weights = np.array(
+        [_at(plant, sp.Matrix(gradient(plant.U, plant.q)), star)[0, :, 0] for plant in [own, *ends]]
+    )
+    wrong = np.linalg.solve(_constant(own.B), (weights - weights[0]).T).T * design.units.input
+    return np.asarray(pushed - np.array([wrong.max(axis=0), wrong.min(axis=0)]), float)
+
+
+def _limits(design: Design, needed: Vector) -> Vector:
+    """Half of the least room that the inputs have at the target, else what a large input is.
+
+    More where ζ has to become what is `needed`, (2, m), least and greatest.
+    """
+    limits, reach = design.loop.plant.u_limits, np.abs(needed).max(axis=0)
     if limits is None:
-        return _rounded(design.sizes.input)
+        return _rounded(np.maximum(design.sizes.input, _SPARE * reach))
     n = design.loop.plant.n
     held = design.lyapunov.control_law(design.z_star[:n], design.xi_star)[0]
     low, high = np.array(limits, float).T
@@ -120,7 +152,17 @@ def _limits(design: Design) -> Vector:
             f"--integral: the input that holds the target, {held.tolist()}, is beyond u_limits",
             "Choose a target that the inputs can hold.",
         )
-    return _rounded(_FOR_DISTURBANCE * room)
+    left = np.minimum(held - needed[1] - low, high - held + needed[0])
+    if np.any(left <= 0):
+        raise OptionError(
+            "usage",
+            "--integral: not all disturbances and parameters of their ranges can be held: u at "
+            f"rest would be up to {(held - needed[0]).tolist()}, down to "
+            f"{(held - needed[1]).tolist()}",
+            "Ask for smaller ranges, or give larger u_limits.",
+        )
+    spared = np.where(reach > 0, reach + _FOR_DISTURBANCE * left, 0.0)
+    return _rounded(np.maximum(_FOR_DISTURBANCE * room, spared))
 
 
 @dataclass(frozen=True, eq=False)

@@ -167,10 +167,13 @@ class Lifting:
     def loss(self, w: Vector, xi: Vector, a: float | Vector) -> float:
         """ε of eq. Loss as the solver sees it, through the lifted variables that w and ξ* imply.
 
+        a is a number, a diagonal, or the matrix that ∇²V(z*) is to exceed.
+
         Of a finished design, :mod:`necc_casadi.designs.error_bound` asks V itself.
         """
         g, N = self.at(self.jets_at(w, xi))
-        return float(np.linalg.norm(g) + max(0.0, -np.linalg.eigvalsh(N - a * np.eye(len(N)))[0]))
+        asked = a if np.ndim(a) == 2 else a * np.eye(len(N))
+        return float(np.linalg.norm(g) + max(0.0, -np.linalg.eigvalsh(N - asked)[0]))
 
     def small_at(self, w_hat: Vector, xi: Vector) -> Vector:
         """Lifted variables of dimensionless weights ŵ at ξ* = xi."""

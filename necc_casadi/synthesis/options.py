@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, get_args
 
 import numpy as np
-import sympy as sp
 
 from necc_casadi.arrays import Vector
 from necc_casadi.cases import Activation, CasimirForm, InitialXi, PhiForm, Shape
@@ -62,7 +61,6 @@ class Options:
     state_cost: Vector | None = None  # n × n, of that cost; None: Bryson's rule
     input_cost: Vector | None = None  # m × m
     convex: bool = False  # quadratic parts stiff enough to make V convex everywhere
-    members: tuple[sp.Expr, ...] = ()  # energies of other plants for which it is to be convex
     whole: bool = False  # quadratic parts stiff enough for V to have one critical point
     learn_casimir: bool = False  # a network C(z), a Casimir only approximately
     polish: bool = False  # improve V and damping on responses, after everything else

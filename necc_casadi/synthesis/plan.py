@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 import sympy as sp
@@ -23,12 +24,15 @@ from necc_casadi.lyapunov.lyapunov import Terms, make_terms
 from necc_casadi.lyapunov.networks import KAPPA_MIN
 from necc_casadi.lyapunov.parameterization import Form
 from necc_casadi.model.closed_loop import ClosedLoop
+from necc_casadi.model.family_loop import FamilyLoop
 from necc_casadi.model.rescale import exactly, rescaled_loop
 from necc_casadi.model.sizes import Sizes, natural_sizes, with_casimirs
 from necc_casadi.symbolic.expressions import is_finite
 from necc_casadi.symbolic.floats import to_floats
 from necc_casadi.synthesis.convexity import least_kappa
 from necc_casadi.synthesis.learned_casimir import casimir_penalty, state_inputs
+from necc_casadi.synthesis.lifting import Lifting
+from necc_casadi.synthesis.members import Members, members_of
 from necc_casadi.synthesis.options import Level, Options, Regulariser, check_options, form_of
 from necc_casadi.synthesis.potential_free import (
     HELD_XI,
@@ -36,11 +40,15 @@ from necc_casadi.synthesis.potential_free import (
     best_coordinates,
     is_potential_free,
 )
+from necc_casadi.synthesis.programs import is_in_reach
 from necc_casadi.synthesis.sample_box import sample_box
 from necc_casadi.synthesis.shaping import Shaping, average_over, height_over
 from necc_casadi.synthesis.training import STIFFER, Anchor, Penalty
 from necc_casadi.synthesis.uniqueness import bent_states, kappa_of_one_minimum
 from necc_casadi.verdict.verdict import Verdict
+
+if TYPE_CHECKING:
+    import casadi as ca
 
 __all__ = ["Plan", "make_plan", "whole_space_stiffness"]
 
@@ -71,10 +79,17 @@ class Plan:
     natural: Sizes  # the sizes in training units
     scales: Sizes  # the sizes that the networks are scaled to
     curvature: Vector  # (n + nc,) diagonal asked of ∇²V(z*)
+    asked: Vector  # the same as a matrix; of a family, of ∇²V(z*) of each member
     a: float  # the same in the model's units: ∇²V(z*) ⪰ aI
     a_requested: float
     anchor: Anchor
     extra: Penalty | Shaping | None
+    members: Members | None = None  # of a family, beside the nominal plant
+
+    @property
+    def bends(self) -> list[Vector]:
+        """∇²V(z*) of each member of a family less that of V."""
+        return [] if self.members is None else self.members.bends(self.x, len(self.curvature))
 
     @property
     def x(self) -> Vector:
@@ -93,8 +108,11 @@ def make_plan(
     verdict: Verdict,
     x_star: Mapping[sp.Symbol, sp.Expr],
     options: Options,
+    family: FamilyLoop | None = None,
 ) -> Plan:
     """Decide form, units, curvature and start of the training.
+
+    With a family, what is asked of V is asked for all of its members, where that is in reach.
 
     Raises
     ------
@@ -131,6 +149,7 @@ def make_plan(
         natural=natural,
         scales=natural if options.natural_units else ones,
         curvature=curvature,
+        asked=np.diag(curvature),
         a=a,
         a_requested=requested,
         anchor=Anchor(guess / units.state[terms.n :]),
@@ -141,6 +160,8 @@ def make_plan(
     if options.learn_casimir:
         penalty = casimir_penalty(terms, form, natural, plan.z, options.seed)
         return replace(plan, extra=penalty)
+    if family is not None:
+        plan = _for_all(plan, members_of(family, units, options.seed))
     kappa = _least_stiffness(plan, options)
     plan = replace(plan, anchor=_stiffened(plan, options, kappa))
     # one critical point: no obstacle is left to raise
@@ -203,24 +224,24 @@ def _stiffened(plan: Plan, options: Options, kappa: float | None) -> Anchor:
     return replace(anchor, kappa_min=kappa, stiffness=stiff)
 
 
+def _for_all(plan: Plan, members: Members) -> Plan:
+    """The plan with the curvature of all members asked for, where some V has it."""
+    least = members.least_bend(plan.x, plan.natural.state)
+    asked = np.diag(plan.curvature) - least
+    lifting = Lifting(plan.terms, plan.form, plan.x, plan.scales, plan.anchor.xi)
+    return replace(
+        plan, members=members, asked=asked if is_in_reach(lifting, asked) else plan.asked
+    )
+
+
 def _least_stiffness(plan: Plan, options: Options) -> float | None:
     """The least κ for a V that is convex everywhere, or has one critical point."""
     if options.convex:
         momenta = find_momenta(plan.loop, plan.casimirs, plan.x_star)
         at = (plan.terms, plan.scales, plan.verdict, plan.x, plan.anchor.xi)
-        return least_kappa(*at, plan.curvature, momenta, _members(plan, options))
+        return least_kappa(*at, plan.curvature, momenta, _energies(plan))
     level = isinstance(options.shaping, Level) and options.quadratic and not plan.form.betas
     return whole_space_stiffness(plan) if options.whole or level else None
-
-
-def _members(plan: Plan, options: Options) -> list[Terms]:
-    """The loops of other plants, in training units."""
-    (energy,) = exactly(np.array([plan.units.energy]))
-    x, plant = plan.loop.plant.x, plan.loop.plant
-    scale = {s: s * unit for s, unit in zip(x, exactly(plan.units.state), strict=False)}
-    energies = [H.xreplace(scale) / energy for H in options.members]
-    loops = [replace(plan.loop, plant=replace(plant, H=H)) for H in energies]
-    return [make_terms(loop, plan.casimirs) for loop in loops]
 
 
 def whole_space_stiffness(plan: Plan) -> float | None:
@@ -229,9 +250,16 @@ def whole_space_stiffness(plan: Plan) -> float | None:
         return None
     momenta = find_momenta(plan.loop, plan.casimirs, plan.x_star)
     radian = 1 / plan.units.state
-    return kappa_of_one_minimum(
-        plan.terms, plan.scales, plan.verdict, plan.x, plan.anchor.xi, radian, momenta
-    )
+    at = (plan.terms, plan.scales, plan.verdict, plan.x, plan.anchor.xi, radian, momenta)
+    found = kappa_of_one_minimum(*at, _energies(plan))
+    if found is None and plan.members is not None:  # one critical point for the nominal plant
+        return kappa_of_one_minimum(*at)
+    return found
+
+
+def _energies(plan: Plan) -> tuple[ca.Function, ...]:
+    """Of the members of a family."""
+    return () if plan.members is None else plan.members.energies
 
 
 def _may_hold_everywhere(loop: ClosedLoop, casimirs: Casimirs) -> bool:
@@ -269,7 +297,7 @@ def _shaping(plan: Plan, options: Options) -> Shaping | None:
     if not 0 < len(kept) <= MOST_KEPT:
         return None
     a = float((plan.curvature * size**2).min())
-    return height_over(kept, box, size, energy, a, options.seed)
+    return height_over(kept, box, size, energy, a, options.seed, plan.members)
 
 
 def _inputs(

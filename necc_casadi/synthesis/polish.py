@@ -140,7 +140,7 @@ class _Search:
         self.stays = self._stays()
         theta = ca.MX.sym("theta", self.moving.size)
         g, N = self.moving.shape(theta)
-        gap = N - ca.diag(ca.DM(plan.curvature))
+        gap = N - ca.DM(plan.asked)
         self.gap = ca.Function("gap", [theta], [ca.densify(gap)])
         slopes = [ca.densify(ca.jacobian(v, theta)) for v in (g, ca.vec(gap))]
         self.slopes = ca.Function("slopes", [theta], slopes)
@@ -289,7 +289,7 @@ class _Search:
             iterations=steps,
             seconds=seconds,
             objective=last.value,
-            loss=self.program.lifting.loss(weights, moving.xi_star, plan.curvature),
+            loss=self.program.lifting.loss(weights, moving.xi_star, plan.asked),
         )
         return Responsive(
             weights=weights,

@@ -13,7 +13,7 @@ from necc_casadi.arrays import Vector
 from necc_casadi.cases import Mode
 from necc_casadi.synthesis.lifting import Lifting
 
-__all__ = ["Program", "hard_program", "soft_program", "with_level"]
+__all__ = ["Program", "asked_matrix", "hard_program", "is_in_reach", "soft_program", "with_level"]
 
 
 #: A fixed entry of ∇V(z*) below this, in natural units, is rounding.
@@ -33,11 +33,22 @@ class Program:
     initial: Callable[[Vector], Vector]  # lifted variables -> start of `extra`
 
 
+def asked_matrix(a: float | Vector, size: int) -> Vector:
+    """What ∇²V(z*) is to exceed, (size, size), from a number, a diagonal or itself."""
+    a = np.asarray(a, float)
+    return a if a.ndim == 2 else np.diag(np.broadcast_to(a, (size,)))
+
+
+def is_in_reach(lifting: Lifting, asked: Vector) -> bool:
+    """Whether what no weight moves of ∇V(z*) and ∇²V(z*) is as asked."""
+    return _movable_rows(lifting, asked) is not None
+
+
 def hard_program(
-    lifting: Lifting, a: Vector, stiffness: tuple[float, ...] | None
+    lifting: Lifting, asked: Vector, stiffness: tuple[float, ...] | None
 ) -> Program | None:
-    """∇V(z*) = 0, ∇²V(z*) − diag(a) = LLᵀ; None where no weight can satisfy that."""
-    movable = _movable_rows(lifting, a)
+    """∇V(z*) = 0, ∇²V(z*) − asked = LLᵀ; None where no weight can satisfy that."""
+    movable = _movable_rows(lifting, asked_matrix(asked, lifting.g.numel()))
     if movable is None:
         return None
     g, S, rows = movable
@@ -64,8 +75,8 @@ def hard_program(
     )
 
 
-def _movable_rows(lifting: Lifting, a: Vector) -> tuple[ca.SX, ca.SX, list[int]] | None:
-    """(rows of g, Schur complement of N − diag(a), its indices) that the design can move."""
+def _movable_rows(lifting: Lifting, asked: Vector) -> tuple[ca.SX, ca.SX, list[int]] | None:
+    """(rows of g, Schur complement of N − asked, its indices) that the design can move."""
     g, N, small = lifting.g, lifting.N, lifting.small
     n = g.numel()
     moves = ca.which_depends(ca.densify(ca.vertcat(g, ca.vec(N))), small, 1, True)
@@ -77,30 +88,32 @@ def _movable_rows(lifting: Lifting, a: Vector) -> tuple[ca.SX, ca.SX, list[int]]
     size = lifting.scales.energy / lifting.scales.state
     if np.any(np.abs(g0[fixed_g]) > _ZERO * size[fixed_g]):
         return None
-    A = N0[np.ix_(rest, rest)] - np.diag(a[rest])
+    gap = N0 - asked
+    A = gap[np.ix_(rest, rest)]
     if len(rest) and np.linalg.eigvalsh(A)[0] <= 0:
         return None
-    B = N0[np.ix_(rest, rows)]
-    S = N[rows, rows] - ca.diag(ca.SX(ca.DM(a[rows])))
+    B = gap[np.ix_(rest, rows)]
+    S = N[rows, rows] - _sparse(asked[np.ix_(rows, rows)])
     if B.any():
         S -= ca.sparsify(ca.DM(B.T @ np.linalg.solve(A, B)))
     return ca.vertcat(*[g[i] for i in range(n) if moves[i]]), ca.sparsify(S), rows
 
 
-def soft_program(lifting: Lifting, a: Vector, _: tuple[float, ...] | None) -> Program:
-    """Minimise s + t with ∇V(z*) = s w, wᵀw ≤ 1, ∇²V(z*) + tI − diag(a) = LLᵀ: ε exactly."""
+def soft_program(lifting: Lifting, asked: Vector, _: tuple[float, ...] | None) -> Program:
+    """Minimise s + t with ∇V(z*) = s w, wᵀw ≤ 1, ∇²V(z*) + tI − asked = LLᵀ: ε exactly."""
     n = lifting.g.numel()
+    asked = asked_matrix(asked, n)
     s, t, w = ca.SX.sym("s"), ca.SX.sym("t"), ca.SX.sym("w", n)
     pattern = _block_pattern(lifting.N)
     L, entries = _lower(pattern)
-    shifted = lifting.N + ca.diag(t - ca.SX(ca.DM(a)))
+    shifted = lifting.N + t * ca.SX.eye(n) - _sparse(asked)
     gap = ca.vertcat(*[(shifted - L @ L.T)[i, j] for i, j in pattern])
 
     def initial(small: Vector) -> Vector:
         g0, N0 = lifting.at(small)
         s0 = max(float(np.linalg.norm(g0)), 1e-3)
-        t0 = max(0.0, -np.linalg.eigvalsh(N0 - np.diag(a))[0]) + 0.1 * a.max()
-        factor = np.asarray(np.linalg.cholesky(N0 + np.diag(t0 - a)), float)
+        t0 = max(0.0, -np.linalg.eigvalsh(N0 - asked)[0]) + 0.1 * np.diag(asked).max()
+        factor = np.asarray(np.linalg.cholesky(N0 + t0 * np.eye(n) - asked), float)
         return np.concatenate([[s0, t0], g0 / s0, _on(pattern, factor)])
 
     return Program(
@@ -112,6 +125,11 @@ def soft_program(lifting: Lifting, a: Vector, _: tuple[float, ...] | None) -> Pr
         inequalities=1 - ca.sumsqr(w),
         initial=initial,
     )
+
+
+def _sparse(matrix: Vector) -> ca.SX:
+    """Numbers, without those that are zero: they tie no block to another."""
+    return ca.SX(ca.sparsify(ca.DM(matrix)))
 
 
 def _block_pattern(S: ca.SX) -> list[tuple[int, int]]:

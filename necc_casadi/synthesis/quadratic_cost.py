@@ -162,7 +162,7 @@ def least_cost(
     aim
         The cost.
     a
-        Curvature asked of ∇²V(z*), (n + nc,).
+        What ∇²V(z*) is to exceed: a diagonal (n + nc,) or a matrix.
     kappa_min
         Least curvature of the quadratic parts, natural units.
     weights, xi_star, damping
@@ -220,17 +220,27 @@ def readable_damping(damping: Vector) -> Vector:
 
 
 class LinearLoop:
-    """A, C_u and 𝒟 in the lifted variables and those of the damping; states in their sizes."""
+    """A, C_u and 𝒟 in the lifted variables and those of the damping; states in their sizes.
 
-    def __init__(self, lifting: Lifting, aim: LinearQuadratic, damping: Vector) -> None:
+    `bend` is ∇²V of a member of a family less that of V, at z*.
+    """
+
+    def __init__(
+        self,
+        lifting: Lifting,
+        aim: LinearQuadratic,
+        damping: Vector,
+        bend: Vector | None = None,
+    ) -> None:
         terms, self.aim = lifting.terms, aim
         n, m = terms.n, terms.m
         self.size = lifting.scales.state
         self.eta, D = damping_variables(damping)
         z = ca.vertcat(ca.SX(lifting.x_star), lifting.xi)
         ports = terms.ports(z)
-        seen = ports.T @ lifting.N
-        A = terms.M(z) @ lifting.N - ports @ D @ seen
+        N = lifting.N if bend is None else lifting.N + ca.DM(bend)
+        seen = ports.T @ N
+        A = terms.M(z) @ N - ports @ D @ seen
         input_slope = _input_slope(lifting, -D[:m, :] @ seen)
         scale, inverse = ca.DM(self.size), ca.DM(1 / self.size)
         # in what the controller keeps, s = ξ − γ(x)

@@ -89,7 +89,7 @@ class LeastCost:
         self.lifting = Lifting(terms, plan.form, plan.x, plan.scales, plan.anchor.xi)
         self.program: Program | None = None
         if is_plain(plan, options) and solution.solved:
-            self.program = hard_program(self.lifting, plan.curvature, plan.anchor.stiffness)
+            self.program = hard_program(self.lifting, plan.asked, plan.anchor.stiffness)
         drift = np.asarray(terms.drift(plan.x), float).ravel()
         port = np.asarray(terms.directions(plan.x), float)
         self.holding = np.linalg.lstsq(port, -drift, rcond=None)[0]  # (m,) u at the target
@@ -163,7 +163,7 @@ class LeastCost:
         start = replace(
             self.solution.starts[-1],
             mode="cost",
-            loss=self.lifting.loss(weights, xi_star, self.plan.curvature),
+            loss=self.lifting.loss(weights, xi_star, self.plan.asked),
         )
         damping = coupled_damping(self.damping, begin.eta)
         return Responsive(weights, xi_star, damping, begin.eta, start, np.inf, np.inf, False)
@@ -217,13 +217,14 @@ class LeastCost:
         found = descended(
             self.lifting,
             aim,
-            self.plan.curvature,
+            self.plan.asked,
             self.plan.anchor.kappa_min,
             self.solution.weights,
             self.solution.xi_star,
             self.damping,
             self.solution.starts[-1].seed,
             moves_V=not self.options.damping_alone,
+            bends=self.plan.bends,
         )
         return None if found is None or found.start.loss > SOLVED else found
 
@@ -236,7 +237,7 @@ class LeastCost:
             self.lifting,
             self.program,
             aim,
-            self.plan.curvature,
+            self.plan.asked,
             self.plan.anchor.kappa_min,
             self.solution.weights,
             self.solution.xi_star,

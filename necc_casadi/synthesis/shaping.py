@@ -19,7 +19,8 @@ w(s) = min V(s, ·) = V(s, ε(s)),
 where gᵢ = ∇w(sᵢ)ᵀ(sᵢ − s*)/‖sᵢ − s*‖² keeps other critical points out, ∇w = V_s(s, ε(s)). V is
 affine in what moves, so w is concave in it, a minimum of affine functions: ε(sᵢ) of one V gives the
 cuts for the next (Kelley's method). What the networks may take from the quadratic parts is bounded:
-V stays convex in what is minimised out. A certificate, not these samples, says what was reached.
+V stays convex in what is minimised out. Of a family each row is that of the worst of its members:
+their energies do not depend on what moves. A certificate, not these samples, says what was reached.
 
 Shaped networks keep their hidden layers: V is then affine in what moves, and the Hessian of both
 objectives is exact at the price of one product AᵀDA.
@@ -48,6 +49,7 @@ from necc_casadi.lyapunov.networks import KAPPA_MIN, Network
 from necc_casadi.lyapunov.parameterization import Form
 from necc_casadi.model.samples import quasi_random
 from necc_casadi.synthesis.lifting import Lifting
+from necc_casadi.synthesis.members import Members
 from necc_casadi.synthesis.sample_box import SampleBox
 
 __all__ = [
@@ -193,6 +195,7 @@ class Height(Shaping):
     active: tuple[int, ...]  # the states that do not rest
     kept: tuple[int, ...]  # s, those of them that are not minimised out
     growth: float  # η
+    members: Members | None = None  # of a family: each row is that of the worst of them
     has_level = True
 
     @property
@@ -226,6 +229,13 @@ class Height(Shaping):
             at(_VALUE, self.boundary, self.boundary),
         ]
         u, A = (np.concatenate(both) for both in zip(*parts, strict=True))
+        if self.members is not None:  # their energies do not depend on what moves
+            x_star = z_star[: terms.n]
+            less = [
+                self.members.least_slope(x_star, self.rays, radial / square),
+                self.members.least_rise(x_star, self.boundary),
+            ]
+            u = u + np.concatenate(less) / self.energy
         return A, u - A @ weights[moving_weights(form)]
 
     def objective(self, u: ca.SX, c: ca.SX) -> ca.SX:
@@ -273,7 +283,13 @@ def average_over(gamma: float, box: SampleBox, size: Vector, energy: float, seed
 
 
 def height_over(
-    kept: Sequence[int], box: SampleBox, size: Vector, energy: float, a: float, seed: int
+    kept: Sequence[int],
+    box: SampleBox,
+    size: Vector,
+    energy: float,
+    a: float,
+    seed: int,
+    members: Members | None = None,
 ) -> Height:
     """Samples of s in the box and on its boundary, the same for the same seed.
 
@@ -292,6 +308,7 @@ def height_over(
         active=box.active,
         kept=tuple(kept),
         growth=min(_GROWTH, _BELOW_A * a / energy),
+        members=members,
     )
 
 

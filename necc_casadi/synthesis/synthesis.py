@@ -17,6 +17,7 @@ from necc_casadi.designs.outcome import Start
 from necc_casadi.lyapunov.damping import uncoupled
 from necc_casadi.lyapunov.lyapunov import LyapunovFunction
 from necc_casadi.model.closed_loop import ClosedLoop
+from necc_casadi.model.family_loop import FamilyLoop
 from necc_casadi.performance.initial_xi import with_better_start, with_start
 from necc_casadi.synthesis.asked import Answer, answer
 from necc_casadi.synthesis.damping import choose_damping
@@ -39,6 +40,7 @@ def design(
     x_star: Mapping[sp.Symbol, sp.Expr],
     options: Options | None = None,
     report: Callable[[Start], None] | None = None,
+    family: FamilyLoop | None = None,
 ) -> Design:
     """Train V at x* and choose the damping.
 
@@ -55,6 +57,8 @@ def design(
         Form of the networks and what to ask of them.
     report
         Called with the outcome of each start of the solver.
+    family
+        The same loop for other plants and set-points, for which the design is to be good, too.
 
     Returns
     -------
@@ -80,7 +84,7 @@ def design(
     >>> float(max(abs(made.z_bar - made.z_star))) < 1e-9
     True
     """
-    return answered(loop, casimirs, verdict, x_star, options, report).design
+    return answered(loop, casimirs, verdict, x_star, options, report, family).design
 
 
 def answered(
@@ -90,15 +94,16 @@ def answered(
     x_star: Mapping[sp.Symbol, sp.Expr],
     options: Options | None = None,
     report: Callable[[Start], None] | None = None,
+    family: FamilyLoop | None = None,
 ) -> Answer:
     """As :func:`design`, with how far the response is what was asked."""
     options = options or Options()
-    plan = make_plan(loop, casimirs, verdict, x_star, options)
+    plan = make_plan(loop, casimirs, verdict, x_star, options, family)
     solution = train(
         plan.terms,
         plan.form,
         plan.x,
-        a=plan.curvature,
+        a=plan.asked,
         scales=plan.scales,
         anchor=plan.anchor,
         extra=plan.extra,
@@ -162,7 +167,7 @@ class _Finish:
             None if options.Dc is None else options.Dc / unit[m:, m:],
         )
         z_star = np.concatenate([plan.x, self.solution.xi_star])
-        return uncoupled(*choose_damping(V, plan.loop, z_star, *given))
+        return uncoupled(*choose_damping(V, plan.loop, z_star, *given, bends=plan.bends))
 
     def __call__(self, found: Responsive | None) -> Design:
         """The design as it is stored, with the seconds of its starts."""

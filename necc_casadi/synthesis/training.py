@@ -52,7 +52,13 @@ from necc_casadi.lyapunov.networks import KAPPA_MIN
 from necc_casadi.lyapunov.parameterization import Form
 from necc_casadi.model.sizes import Sizes
 from necc_casadi.synthesis.lifting import Lifting
-from necc_casadi.synthesis.programs import Program, hard_program, soft_program, with_level
+from necc_casadi.synthesis.programs import (
+    Program,
+    asked_matrix,
+    hard_program,
+    soft_program,
+    with_level,
+)
 from necc_casadi.synthesis.shaping import AffineRows, Average, Height, Shaping, moving_weights
 
 __all__ = ["STIFFER", "Anchor", "Penalty", "Solution", "train"]
@@ -191,7 +197,7 @@ def train(
     x_star
         Target (n,).
     a
-        Curvature asked of ∇²V(z*), of every state or of each, (n + nc,).
+        Curvature asked of ∇²V(z*): of every state, of each (n + nc,), or a matrix below it.
     scales
         Sizes of order one in natural units; the published form is trained in the plant's own.
     anchor
@@ -207,7 +213,7 @@ def train(
         Print IPOPT's iterations.
     """
     anchor = anchor or Anchor(np.zeros(terms.nc))
-    asked = np.broadcast_to(np.asarray(a, float), (terms.n + terms.nc,))
+    asked = asked_matrix(a, terms.n + terms.nc)
     lifting = Lifting(terms, form, np.asarray(x_star, float), scales, anchor.xi)
     results: list[_Result] = []
     plain = None if isinstance(extra, Shaping) else extra

@@ -44,6 +44,10 @@ _SAMPLES, _TURNS = 4096, 1.5
 _STIFFEST, _HALVINGS = 64.0, 14
 
 
+#: Newton steps to a member's minimum at most, and the slope at which it is reached, natural units.
+_NEWTON, _STILL = 30, 1e-9
+
+
 #: Least eigenvalue of ∇²V_κ(z*) in natural units, or this share of the most that is in reach.
 _CURVED, _OF_REACH = 0.1, 0.5
 
@@ -56,6 +60,7 @@ def kappa_of_one_minimum(
     xi_star: Vector,
     angle: Vector,
     momenta: Sequence[int] = (),
+    energies: Sequence[ca.Function] = (),
 ) -> float | None:
     """The least κ, in natural units, for which V_κ grows along every ray of samples from z*.
 
@@ -71,6 +76,8 @@ def kappa_of_one_minimum(
         A radian of the model in training units, (n + nc,).
     momenta
         Plant states that are at rest.
+    energies
+        H of the members of a family: V_κ of each is to grow from its own minimum.
 
     Returns
     -------
@@ -78,12 +85,18 @@ def kappa_of_one_minimum(
         None where no stiffness makes V_κ grow along every ray.
     """
     z_star = np.concatenate([x_star, xi_star])
-    reduced = _Reduced(terms, scales, verdict, z_star, angle, momenta)
-    top = reduced.curvature(_STIFFEST)
+    members = [
+        _Reduced(terms, energy, scales, verdict, z_star, angle, momenta)
+        for energy in (terms.H, *energies)
+    ]
+    top = min(reduced.curvature(_STIFFEST) for reduced in members)
     needed = min(_CURVED, _OF_REACH * top)
 
     def grows(kappa: float) -> bool:
-        return reduced.curvature(kappa) >= needed and reduced.growth(kappa) >= _GROWTH
+        return all(
+            reduced.curvature(kappa) >= needed and reduced.growth(kappa) >= _GROWTH
+            for reduced in members
+        )
 
     if top <= 0 or not grows(_STIFFEST):
         return None
@@ -100,6 +113,7 @@ class _Reduced:
     def __init__(
         self,
         terms: Terms,
+        H: ca.Function,
         scales: Sizes,
         verdict: Verdict,
         z_star: Vector,
@@ -107,7 +121,7 @@ class _Reduced:
         momenta: Sequence[int],
     ) -> None:
         z, kappa = ca.SX.sym("z", len(z_star)), ca.SX.sym("kappa")
-        V = _quadratic_parts(terms, scales, verdict, z_star, z, kappa)
+        V = _quadratic_parts(terms, H, scales, verdict, z_star, z, kappa)
         active = [i for i in range(len(z_star)) if i not in momenta]
         block, grad, bends = _derivatives(V, z, active)
         self.kept = [k for k, i in enumerate(active) if bends[i]]
@@ -121,21 +135,41 @@ class _Reduced:
         self.away = shares * (2 * np.pi * _TURNS * angle[active][self.kept])
 
     def curvature(self, kappa: float) -> float:
-        """The least eigenvalue of ∇²V_κ(z*) in natural units, momenta left out."""
-        hessian = np.asarray(self._hessian(self.z_star, kappa), float)
+        """The least eigenvalue of ∇²V_κ at its minimum in natural units, momenta left out."""
+        return self._least_curvature(self._minimum(kappa), kappa)
+
+    def _least_curvature(self, z: Vector, kappa: float) -> float:
+        hessian = np.asarray(self._hessian(z, kappa), float)
         relative = hessian * np.outer(self.size, self.size) / self.energy
         return float(np.linalg.eigvalsh(relative)[0])
 
+    def _minimum(self, kappa: float) -> Vector:
+        """Where V_κ has no slope, by Newton's method from z*: z* itself but for a member.
+
+        The last point at which V_κ curves upwards, where the way ends before.
+        """
+        z, unit = self.z_star.copy(), self.energy / self.size
+        for _ in range(_NEWTON):
+            slope = np.asarray(self._gradient(z, kappa), float).ravel()
+            if np.abs(slope / unit).max(initial=0.0) <= _STILL:
+                break
+            hessian = np.asarray(self._hessian(z, kappa), float)
+            if self._least_curvature(z, kappa) <= 0:
+                break
+            z[self.active] -= np.linalg.solve(hessian, slope)
+        return z
+
     def growth(self, kappa: float) -> float:
         """The least of ∇w_κᵀ(s − s*)/(E‖s − s*‖²) over the samples; −∞ where w_κ is not defined."""
-        hessian = np.asarray(self._hessian(self.z_star, kappa), float)
+        centre = self._minimum(kappa)
+        hessian = np.asarray(self._hessian(centre, kappa), float)
         V_ee = hessian[np.ix_(self.gone, self.gone)]
         if len(V_ee) and np.linalg.eigvalsh(V_ee)[0] <= 0:
             return -np.inf
         if not self.kept:
             return np.inf
         kept, gone = ([self.active[k] for k in part] for part in (self.kept, self.gone))
-        samples = np.repeat(self.z_star[None], _SAMPLES, 0)
+        samples = np.repeat(centre[None], _SAMPLES, 0)
         samples[:, kept] += self.away
         slopes = np.asarray(self._mapped(samples.T, kappa), float).T
         if gone:  # one step of Newton's method: V_κ is quadratic in e
@@ -151,7 +185,7 @@ def bent_states(
 ) -> list[int]:
     """The states on which ∇²V_κ depends, momenta at rest: V_κ is quadratic in the others."""
     z = ca.SX.sym("z", len(z_star))
-    V = _quadratic_parts(terms, scales, verdict, z_star, z, ca.SX(1))
+    V = _quadratic_parts(terms, terms.H, scales, verdict, z_star, z, ca.SX(1))
     active = [i for i in range(len(z_star)) if i not in momenta]
     return [i for i in active if _derivatives(V, z, active)[2][i]]
 
@@ -164,9 +198,15 @@ def _derivatives(V: ca.SX, z: ca.SX, active: list[int]) -> tuple[ca.SX, ca.SX, l
 
 
 def _quadratic_parts(
-    terms: Terms, scales: Sizes, verdict: Verdict, z_star: Vector, z: ca.SX, kappa: ca.SX
+    terms: Terms,
+    H: ca.Function,
+    scales: Sizes,
+    verdict: Verdict,
+    z_star: Vector,
+    z: ca.SX,
+    kappa: ca.SX,
 ) -> ca.SX:
-    """V_κ of the module's head."""
+    """V_κ of the module's head, with this energy of the plant; λ is that of the nominal one."""
     n, s = terms.n, ca.SX.sym("s", len(z_star))
     slope = ca.Function("dc", [s], [ca.jacobian(terms.c(s), s)])
     N = np.asarray(slope(z_star), float)
@@ -181,5 +221,5 @@ def _quadratic_parts(
     moved = z[n:] - ca.DM(z_star[n:])
     held = ca.dot(ca.DM(lam), c - c_star) - ca.dot(ca.DM(N[:, n:].T @ lam), moved)
     stretch = ca.sumsqr(moved / scales.state[n:]) + ca.sumsqr((c - c_star) / reach)
-    result: ca.SX = terms.H(z[:n]) + held + kappa * scales.energy / 2 * stretch
+    result: ca.SX = H(z[:n]) + held + kappa * scales.energy / 2 * stretch
     return result

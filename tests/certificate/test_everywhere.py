@@ -14,10 +14,12 @@ from necc_casadi.certificate.prover.certify import certify
 from necc_casadi.certificate.prover.everywhere import prove_everywhere
 from necc_casadi.designs.family import lift
 from necc_casadi.designs.plant_file import plant_text
+from necc_casadi.methods.method import Method
 from necc_casadi.model.model_file import load_model
 from necc_casadi.model.ranges import Ranges
-from necc_casadi.pipeline.families import members
+from necc_casadi.pipeline.families import family_of
 from necc_casadi.synthesis.options import Options
+from necc_casadi.synthesis.synthesis import design
 
 S = sp.Rational
 
@@ -260,14 +262,10 @@ def test_an_arm_holds_every_target_with_every_load(tmp_path):
     turns = {"q1": (-sp.pi, sp.pi), "q2": (-sp.pi, sp.pi)}
     ranges = Ranges(turns, uncertain)
     model = dataclasses.replace(task.model, ranges=Ranges(uncertain=uncertain))
-    plain = Options(convex=True)
-    method = task.method
-    stars = dict(zip(task.model.system.x, task.x_star.values(), strict=True))
-    robust = dataclasses.replace(plain, members=members(model, method, stars, plain))
-    assert len(robust.members) == 2
-    held = [
-        prove_everywhere(lift(solve(task, options), ranges, model.parametric))
-        for options in (plain, robust)
-    ]
+    convex, at = Options(convex=True), (task.loop, task.casimirs, task.verdict, task.x_star)
+    method = Method("interconnection", *at[:3])
+    members = family_of(model, method, task.x_star, convex)
+    designs = [design(*at, convex, family=family) for family in (None, members)]
+    held = [prove_everywhere(lift(made, ranges, model.parametric)) for made in designs]
     assert [claim.holds for claim in held] == [False, True]
     assert held[1].data["follows"] == "converges"

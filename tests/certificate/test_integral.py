@@ -10,6 +10,7 @@ from helpers.certificates import claim, verdicts, written
 from helpers.velocity import arm, pendulum
 
 from necc_casadi.certificate.claims import statements
+from necc_casadi.certificate.claims.certificate import Certificate
 from necc_casadi.certificate.prover.arithmetic.intervals import point
 from necc_casadi.certificate.prover.certify import certify
 from necc_casadi.certificate.prover.integral import IntegralTerms, prove_integral
@@ -17,6 +18,7 @@ from necc_casadi.designs.design import Design
 from necc_casadi.designs.integral import Integral
 from necc_casadi.designs.plant_file import plant_text
 from necc_casadi.errors import ModelError, OptionError, OutputError
+from necc_casadi.export.integral_margin import integral_margin
 from necc_casadi.model.lagrangian import Plants, lagrangian
 from necc_casadi.model.model_file import load_model
 from necc_casadi.model.parametric import Parametric
@@ -86,6 +88,39 @@ def test_W_falls_by_the_form_S(make):
         low, high = (float(v @ M[0] @ v) for M in (S.lo, S.hi))
         slack = float(np.abs(v) @ S.rad[0] @ np.abs(v)) + 1e-6 * (1 + abs(slope))
         assert -slope == pytest.approx((low + high) / 2, abs=slack)
+
+
+def test_the_margin_is_that_of_the_largest_W(ranged, pendulum_with):
+    """1 − W/c with ζ* at its limits, and with every end of what is not known of the plant."""
+    made, certificate = pendulum_with, certify(pendulum_with)
+    margin, terms = integral_margin(made, certificate), terms_of(made)
+    rng = np.random.default_rng(0)
+    pull = made.lyapunov.control_law(made.z_star[:2], terms.xi_bar.mid)[0]
+    for _ in range(5):
+        w = np.array([0.75, 0.0, 0.0, 0.0]) + rng.uniform(-1, 1, 4) * [1, 1, 1, 0.5]
+        ends = (-made.integral.limit, made.integral.limit)
+        pushes = [zeta + np.sin(0.75) - pull for zeta in ends]
+        wanted = 1 - max(W(made, terms, w, d) for d in pushes) / margin.level
+        assert margin(w[:2], w[2:3], w[3:]) == pytest.approx(wanted, abs=1e-9)
+    many = plants(m=("9/10", "11/10"), g=("4/5", "6/5"), d=("0", "3/10"))
+    varied = Design.load(ranged)
+    data = json.loads((ranged / "certificate.json").read_text(encoding="utf-8"))
+    proved = Certificate.from_json(json.dumps(data))
+    assert integral_margin(varied, proved) is None
+    wide = integral_margin(varied, proved, many.parametric)
+    at = [0.75 + 0.3, 0.4]
+    e, v = 0.3, 0.4 + 0.3 / varied.integral.tau
+    tau, D = varied.integral.tau, varied.damping[0, 0]
+    parts = [
+        m * v**2 / 2 + e**2 * (D + d - m / tau) / (2 * tau)
+        - g * (np.cos(1.05) - np.cos(0.75) + np.sin(0.75) * e)
+        for m in (0.9, 1.1) for g in (0.8, 1.2) for d in (0.0, 0.3)
+    ]  # fmt: skip
+    shape = 4 * 0.1**2 / 2 + 4 * (e - 0.1) ** 2 / 2
+    zeta = varied.integral.limit[0] ** 2 / (2 * tau * varied.integral.gain[0])
+    wanted = 1 - (max(parts) + shape + zeta) / wide.level
+    assert wide(at, varied.xi_star + 0.1, [0.0]) == pytest.approx(wanted, abs=1e-9)
+    assert wide([np.nan, 0], varied.xi_star, [0.0]) == -1
 
 
 def test_the_box_is_proved_and_proved_again(folder, pendulum_with):

@@ -130,13 +130,13 @@ def test_a_disturbance_of_the_file_that_is_none(tmp_path, value):
     check_refusal(design(model, "--target", "0", "--json", "--check"), "limits", "disturbance")
 
 
-def test_a_disturbance_goes_with_no_integral_action(tmp_path):
+def test_a_set_point_that_moves_goes_with_no_integral_action(tmp_path):
     model = tmp_path / "own.py"
     model.write_text(COORDINATES + "disturbance = [(-0.1, 0.2)]\n", encoding="utf-8")
     low, high = load_model(model).ranges.disturbance[0]
     assert (low * 10, high * 10) == (-1, 2)
-    result = design(model, "--target", "0", "--integral", "--json", "--out", tmp_path / "out")
-    check_refusal(result, "usage", "disturbance")
+    result = design(model, "--target", "q=0:1", "--integral", "--json", "--out", tmp_path / "out")
+    check_refusal(result, "usage", "a target that is a range")
 
 
 @pytest.mark.parametrize("more", [(), ("--check",)])

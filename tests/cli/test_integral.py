@@ -51,12 +51,15 @@ def test_a_run_with_integral_action(tmp_path):
     """Designed, certified again and simulated, each as a process."""
     (tmp_path / "own.py").write_text(PENDULUM, encoding="utf-8")
     done = process(
-        DESIGN, "own.py", "--integral", "1.5", "--json", "--no-plots", "--fmu", cwd=tmp_path
-    )
+        DESIGN, "own.py", "--integral", "1.5", "--disturbance", "0.1", "--json", "--no-plots",
+        "--fmu", cwd=tmp_path,
+    )  # fmt: skip
     assert done.returncode == 0, done.stderr
     data = json.loads(done.stdout)
     assert data["design"]["measured"] == ["q", "q_dot"]
     assert data["status"] == "certified"
+    words = next(c["statement"] for c in data["certificate"]["claims"] if c["name"] == "integral")
+    assert "every constant disturbance in [-1/10, 1/10]" in words
     integral = data["design"]["integral"]
     assert integral["tau"] == pytest.approx(1.5, rel=1e-2)
     assert set(integral["box"]) == {"q", "xi1"}

@@ -10,8 +10,10 @@ from xml.etree import ElementTree as ET
 import numpy as np
 import pytest
 import sympy as sp
+from helpers.certificates import of_small_level
 from helpers.export_cases import COMPILERS, STRICT, design, pendulum_loop
 from helpers.velocity import pendulum as sprung_pendulum
+from helpers.velocity import pendulum_with_load
 
 from necc_casadi.certificate.prover.certify import certify
 from necc_casadi.export.fmu import export_fmu
@@ -221,3 +223,30 @@ def test_a_set_point_is_an_input_of_the_unit(tmp_path):
     master.call("fmi2DoStep", ctypes.c_double(0), ctypes.c_double(0.01), 0)
     u = reals(master, "fmi2GetReal", [2])[0]
     assert u == pytest.approx(np.sin(1.0), abs=1e-9)  # what holds it at 1
+
+
+def test_parameters_and_targets_are_taken_with_a_sample(tmp_path):
+    """The weight that is told is held at once; u stays where the unit is asked to move ξ."""
+    told = pendulum_with_load(l=(sp.Integer(0), sp.Rational(1, 2)))
+    made = replace(sprung_pendulum(), setpoints={"q": (sp.Integer(-2), sp.Integer(2))}, told=told)
+    master, names = unpacked(made, tmp_path, of_small_level(made))
+    at, load, margin = (names.index(name) for name in ("target_q", "l", "margin"))
+    reals(master, "fmi2SetReal", [0, 1], [0.75, 0.0])
+    assert reals(master, "fmi2GetReal", [2, margin, load]) == pytest.approx([np.sin(0.75), 1, 0])
+    reals(master, "fmi2SetReal", [load], [0.25])
+    assert reals(master, "fmi2GetReal", [2])[0] == pytest.approx(1.25 * np.sin(0.75), abs=1e-9)
+    master.step(0.0, 0.01)
+    assert master.flags() == 0
+    reals(master, "fmi2SetReal", [at, load], [0.8, 0.25])
+    master.step(0.01, 0.01)
+    before = reals(master, "fmi2GetReal", [2])[0]
+    chosen, kind = (ctypes.c_uint * 1)(1), (ctypes.c_int * 1)(1)
+    assert master.call("fmi2SetInteger", chosen, ctypes.c_size_t(1), kind) == 0
+    reals(master, "fmi2SetReal", [at], [0.7])
+    master.step(0.02, 0.0)
+    assert reals(master, "fmi2GetReal", [2])[0] == pytest.approx(before, abs=1e-3)
+    force = 1.25 * (np.sin(0.8) - np.sin(0.7))
+    assert abs(force) > 0.05  # by which it jumps where ξ is kept
+    reals(master, "fmi2SetReal", [load], [0.75])
+    master.step(0.02, 0.01)
+    assert master.flags() == 8

@@ -5,12 +5,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import sympy as sp
 from helpers.export_cases import COMPILERS, STRICT
 from helpers.velocity import arm, pendulum
 
+from necc_casadi.certificate.prover.certify import certify
 from necc_casadi.export.c_project import export_c
 from necc_casadi.export.compiled import compile_controller
 from necc_casadi.export.header import header
+from necc_casadi.export.integral_margin import integral_margin
 from necc_casadi.export.sampled_loop import analyse_sampling, spectral_radius
 from necc_casadi.export.source import Source
 from necc_casadi.synthesis.integral import with_integral
@@ -51,6 +54,23 @@ def test_bad_measurements_leave_zeta_alone(made):
         y[0] = bad
         u, after, flags = compiled.step(kept, y, 0.01)
         assert (flags, list(u), list(after)) == (2, [0.0] * m, kept)
+
+
+def test_float_keeps_what_rounding_takes_from_zeta(made):
+    """Steps far below the spacing of ζ add up."""
+    compiled, m = compile_controller(made, real="float"), made.loop.plant.m
+    y = np.concatenate([made.z_star[:m] + 0.25, np.zeros(m)])
+    zeta, dt, steps = np.full(m, 0.25), 1e-9 * made.units.time, 20_000
+    state = compiled._state([*made.xi_star, *zeta])
+    u = (compiled.real * m)()
+    rate = np.asarray(made.measured_controller.call([y, np.concatenate([made.xi_star, zeta])])[1])
+    rate, spacing = rate.ravel()[m:].astype(float), np.spacing(np.float32(0.25))
+    assert (np.abs(rate * dt) < spacing / 4).all()
+    for _ in range(steps):
+        compiled._function("step")(state, compiled._array(y, 2 * m), u, compiled.real(dt))
+    moved = np.array(list(state)[m : 2 * m]) - zeta
+    np.testing.assert_allclose(moved, (steps - 1) * dt * rate, rtol=1e-3, atol=spacing)
+    assert np.abs(moved).max() > 5 * spacing
 
 
 def test_the_code_leaves_no_offset(made):
@@ -99,3 +119,24 @@ def test_the_sampled_loop_has_zeta_among_its_states(made):
     radius = spectral_radius(made, T)
     assert radius == pytest.approx(np.exp(made.abscissa * T), rel=1e-5)
     assert analyse_sampling(made, T).largest_stable > T
+
+
+@pytest.mark.parametrize("real", ["double", "float"])
+def test_the_margin_of_the_code_is_that_of_python(real):
+    made = with_integral(pendulum(), disturbance=[(-0.2, 0.3)])
+    certificate = certify(made, disturbance=[(sp.Rational(-1, 5), sp.Rational(3, 10))])
+    margin = integral_margin(made, certificate)
+    compiled = compile_controller(made, certificate=certificate, real=real, flags=STRICT)
+    rng, low = np.random.default_rng(0), 0
+    for _ in range(30):
+        y, xi, zeta = rng.uniform(-4, 4, 2), rng.uniform(-4, 4, 1), rng.uniform(-1, 1, 1)
+        wanted, found = margin(y, xi, zeta), compiled.margin(y, [*xi, *zeta])
+        assert found == pytest.approx(wanted, abs={"double": 1e-9, "float": 1e-2}[real])
+        low += wanted == -1
+    assert 0 < low < 30
+    assert compiled.margin(made.z_star[:2], [*made.xi_star, 0.0]) > 0.9
+    assert compiled.margin([np.nan, 0.0], [0.0, 0.0]) == -1
+    assert compiled.margin([0.75, 1e300], [0.0, 0.0]) == -1
+    text = header(Source(made, certificate=certificate))
+    assert "NECC_HAS_MARGIN 1" in text
+    assert "every zeta* in [-0.2, 0.3]" in " ".join(text.split())

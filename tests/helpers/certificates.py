@@ -1,9 +1,11 @@
 """Certificates altered, and what the checker says of them."""
 
 import json
+from dataclasses import replace
 
 from necc_casadi.certificate.checker.check import check
 from necc_casadi.certificate.claims import statements
+from necc_casadi.certificate.claims.claim import Claim
 from necc_casadi.certificate.claims.regions import Obstacle
 from necc_casadi.certificate.prover.certify import certify
 
@@ -14,6 +16,14 @@ def written(design, folder):
     design.save(folder / "design.json")
     (folder / "certificate.json").write_text(certify(design).to_json(), encoding="utf-8")
     return folder
+
+
+def of_small_level(design):
+    """A claim about set-points of a level 1, below the one that is proved of the pendulum."""
+    plain = certify(replace(design, setpoints={}, told=None), region=False)
+    data = {"level": 1.0, "half_widths": [2.0, 2.0], "mu": 0.1, "away": 1e-9}
+    held = Claim("setpoints", True, "less than is proved", data)
+    return replace(plain, design_hash=design.hash, claims=(*plain.claims, held))
 
 
 def verdicts(folder) -> dict[str, bool]:

@@ -9,7 +9,9 @@ from necc_casadi.lyapunov.networks import Network
 from necc_casadi.lyapunov.parameterization import Form
 from necc_casadi.model.closed_loop import interconnect
 from necc_casadi.model.controller import default_controller
+from necc_casadi.model.lagrangian import Plants
 from necc_casadi.model.mechanical_file import Mechanical, phase_space
+from necc_casadi.model.parametric import Parametric
 from necc_casadi.model.plant import make_plant
 from necc_casadi.verdict.verdict import Verdict
 
@@ -63,6 +65,16 @@ def pendulum(limits=None) -> Design:
     q = sp.Symbol("q", real=True)
     loop, casimirs = mechanical_loop(1, 1 - sp.cos(q), 1, q, sp.Rational(1, 10), u_limits=limits)
     return sprung(loop, casimirs, [sp.Rational(3, 4)], 4, 4, 2, 0.5)
+
+
+def pendulum_with_load(**ranges) -> Plants:
+    """Its plants with a load l, 0 in the model, within ranges."""
+    q, load = sp.symbols("q l", real=True)
+    x, friction = phase_space(q), sp.Matrix([[sp.Rational(1, 10)]])
+    formal = Mechanical.formal(x, 1 + load, (1 + load) * (1 - sp.cos(q)), 1, friction).structure
+    J, R, G, H = formal
+    structure = (sp.ImmutableMatrix(v) for v in (J, R, G))
+    return Plants(Parametric(*structure, H, {"l": sp.Integer(0)}), ranges)
 
 
 def arm() -> Design:

@@ -27,3 +27,25 @@ def weighed(tmp_path_factory):
     )
     assert code == 0, err
     return model, out
+
+
+RANGED = """
+import sympy as sp
+q, m = sp.symbols("q m")
+M, V, B, friction = m, m * (1 - sp.cos(q)), 1, 0.1
+params = {m: 1}
+uncertain = {m: (0.9, 1.1)}
+disturbance = [(-0.1, 0.1)]
+target = {q: 0.75}
+"""
+
+
+@pytest.fixture(scope="session")
+def ranged(tmp_path_factory):
+    """The folder of a design of which ranges are proved."""
+    folder = tmp_path_factory.mktemp("ranged")
+    model, out = folder / "ranged.py", folder / "out"
+    model.write_text(RANGED, encoding="utf-8")
+    code, _, err = design(model, "--global", "--out", out)
+    assert code == 0, err
+    return out

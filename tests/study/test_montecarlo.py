@@ -9,9 +9,9 @@ from necc_casadi import Design, load_model, simulate
 from necc_casadi.designs.plant_file import PLANT_FILE, read_plant
 from necc_casadi.errors import OutputError
 from necc_casadi.performance.steady_error import perturbed_error
+from necc_casadi.simulation.perturbed import OtherPlants
 from necc_casadi.simulation.responses import random_states
 from necc_casadi.study.montecarlo import MonteCarlo
-from necc_casadi.study.perturbed import OtherPlants
 from necc_casadi.study.vary import read_bands
 
 

@@ -173,6 +173,20 @@ def test_kinks_are_found(expr):
 
 
 @pytest.mark.parametrize(
+    "text",
+    ["sinh(exp(exp(9)))", "exp(exp(exp(13)))", "sinh(exp(exp(exp(3))))", "sin(exp(exp(30)))"],
+)
+def test_towers_of_exponentials_are_refused_before_they_are_evaluated(text):
+    with pytest.raises(ValueError, match=r"the argument of '.*' exceeds 1e1000"):
+        parse(text)
+
+
+@pytest.mark.parametrize("text", ["exp(exp(7))", "sin(1e900)", "exp(-exp(7))", "log(exp(exp(7)))"])
+def test_large_arguments_within_the_limit_are_taken(text):
+    assert parse(text).is_real
+
+
+@pytest.mark.parametrize(
     "text", ["1e400", "-1e400", "exp(1000)", "exp(exp(1000))", "10**1000*10**1000", "sqrt(-1)",
              "log(-1)", "q", "", "nan", "inf", "tan(pi/2)"]
 )  # fmt: skip

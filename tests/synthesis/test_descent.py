@@ -48,8 +48,12 @@ def program_of(task, **options):
     return LeastCost(plan, asked, solution, np.diag([1.0, 2.0]))
 
 
-@pytest.fixture(scope="module")
-def objective(tora):
+@pytest.fixture(scope="module", params=[0, 2])
+def objective(tora, request):
+    """Of the nominal loop, and with two members of a family beside it."""
+    rng = np.random.default_rng(5)
+    roots = rng.normal(0, 0.1, (request.param, tora.loop.n, tora.loop.n))
+    bends = [root @ root.T for root in roots]
     program = program_of(tora)
     solution, plan = program.solution, program.plan
     moving = Moving(
@@ -61,7 +65,8 @@ def objective(tora):
         networks=False,
     )
     aim = program._aim(0.0, 1.0, 0.0)
-    return _Objective(program.lifting, aim, plan.curvature, moving, solution.weights, True)
+    asked = np.diag(plan.curvature)
+    return _Objective(program.lifting, aim, asked, moving, solution.weights, True, bends)
 
 
 @pytest.mark.parametrize("seed", [0, 1, 2])

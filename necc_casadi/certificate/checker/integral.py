@@ -9,7 +9,7 @@ and ∇K between rest and a point, η = GcBᵀe and ω = ∇H₀ − ∇K₀,
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 
 import sympy as sp
@@ -18,6 +18,9 @@ from flint import arb, arb_mat
 from necc_casadi.certificate.checker.arithmetic.balls import (
     Box,
     ball,
+    by_bisection,
+    ends,
+    evaluate,
 )
 from necc_casadi.certificate.checker.arithmetic.definite import positive, solve
 from necc_casadi.certificate.checker.evidence import Checked, Evidence
@@ -26,9 +29,14 @@ from necc_casadi.certificate.checker.model import StoredDesign
 from necc_casadi.certificate.checker.plants import StoredPlants, stated_ranges
 from necc_casadi.certificate.checker.remainders import StoredRemainders, casimir_slopes, matrix_at
 from necc_casadi.certificate.claims import statements
+from necc_casadi.symbolic.expressions import parse
 from necc_casadi.symbolic.zero import is_zero
 
 __all__ = ["check_integral", "is_covered"]
+
+
+#: How often a cell of parameters may be halved where ζ* is enclosed.
+_DEPTH = 16
 
 
 def check_integral(
@@ -50,8 +58,8 @@ def check_integral(
     kept = [*range(model.n // 2), *range(model.n, len(model.z))]
     sides = zip(kept, widths, strict=False)
     told = {model.states[i]: width * model.units.state[i] for i, width in sides}
-    ranges = stated_ranges(evidence, "integral")
-    text = statements.integral(level * model.units.energy, told, limits, ranges)
+    ranges, pushes = stated_ranges(evidence, "integral"), _stated_disturbance(evidence)
+    text = statements.integral(level * model.units.energy, told, limits, ranges, pushes)
     if model.integral is None or not is_covered(model):
         return Checked("integral", False, f"{text}; not proved: the plant and loop are covered")
     if len(widths) != 2 * model.m or not all(v > 0 for v in widths):
@@ -59,6 +67,8 @@ def check_integral(
     varied = StoredPlants(model, plant_file(), ranges) if ranges else None
     if varied is not None and not varied.fits(model):
         return Checked("integral", False, f"{text}; not proved: plant.json is of this design")
+    if pushes and len(pushes) != model.m:
+        return Checked("integral", False, f"{text}; not proved: a disturbance of each input")
     fall = _Fall(model, level, varied)
     box: Box = tuple((-v, v) for v in widths) + fall.theta
     return Checked.by(
@@ -68,11 +78,19 @@ def check_integral(
             ("Casimirs, structure and measurement", lambda: sound),
             ("the box keeps the bounds of the model", partial(fall.keeps_bounds, box)),
             ("a minimum of Hc + K at q*", lambda: fall.xi_bar is not None),
+            ("ζ* of every disturbance", lambda: not pushes or fall.has_room(evidence, pushes)),
             ("M ≻ 0 in the box", partial(fall.has_mass, box)),
             ("E_W above the level on the sides", partial(fall.is_closed, box)),
             ("S ≻ 0 where E_W is not above the level", partial(fall.falls_in, box)),
+            ("the momenta keep the bounds of the model", partial(fall.keeps_momenta, box)),
         ],
     )
+
+
+def _stated_disturbance(evidence: Evidence) -> list[tuple[str, str]]:
+    """Ranges of disturbances that the claim is about, by input; none: all that ζ can hold."""
+    sides = evidence.claims["integral"].data.get("disturbance", [])
+    return [(str(lo), str(hi)) for lo, hi in sides]
 
 
 def is_covered(model: StoredDesign, *, coupled: bool = False) -> bool:
@@ -124,11 +142,45 @@ class _Fall(StoredRemainders):
         )
         self.damping = self.B * D * self.B.transpose()
         self.inner = self.Gc * Dc * self.Gc.transpose()
+        self.limit = model.integral.limit
+
+    @property
+    def leads(self) -> arb:
+        """1/τ."""
+        return 1 / self.tau
+
+    def has_room(self, evidence: Evidence, disturbance: Sequence[Sequence[str]]) -> bool:
+        """ζ* = d − B⁻¹∇U(q*) − Gcᵀ∇Hc(ξ̄) as told for all θ and d, 0 among these, and in ±limit."""
+        k, scale = self.k, self.model.input_units
+        told = [(float(lo), float(hi)) for lo, hi in evidence.claims["integral"].data["resting"]]
+        if len(told) != k or not all(-b < lo and hi < b for (lo, hi), b in
+                                     zip(told, self.limit, strict=True)):  # fmt: skip
+            return False
+        ends_of = [[parse(v, {}) for v in side] for side in disturbance]
+        if not all(bool(lo <= 0) and bool(hi >= 0) for lo, hi in ends_of):
+            return False
+        d = [
+            [evaluate(v, {}) / arb(unit) for v in side]
+            for side, unit in zip(ends_of, scale, strict=True)
+        ]
+        slope = arb_mat([[v] for v in self.hc(tuple(map(ends, self.xi_bar or [])))[1]])
+        own = (self.Gc.transpose() * slope).tolist()
+
+        def within(cell: Box) -> bool:
+            known = dict(zip(self.symbols, (ball(*side) for side in cell), strict=True))
+            there = dict(zip(self.q, self.q_star, strict=True)) | known
+            force = arb_mat([[evaluate(g, there)] for g in self.grad_U])
+            held = (self.B.inv() * force).tolist()
+            off = [held[i][0] + own[i][0] for i in range(k)]
+            sides = zip(d, off, told, strict=True)
+            return all(bool(a - v > lo) and bool(b - v < hi) for (a, b), v, (lo, hi) in sides)
+
+        return by_bisection(self.theta, within, _DEPTH)
 
     def added(
         self, there: dict[sp.Symbol, arb], known: dict[sp.Symbol, arb], e: list[arb]
     ) -> tuple[arb, list[arb]]:
-        """½eᵀ(BDBᵀ + R − M/τ)e/τ and its slopes."""
+        """½eᵀ(BDBᵀ + R − M/τ)e/τ and its slopes in q and θ."""
         tau = self.tau
         stiff = self._damped(known) - self.inertia(there) * (1 / tau)
         column = arb_mat([[v] for v in e])
@@ -136,6 +188,10 @@ class _Fall(StoredRemainders):
         value = sum((v * f[0] for v, f in zip(e, forces, strict=True)), arb(0)) / (2 * tau)
         turned = [(arb_mat([e]) * matrix_at(M, there) * column)[0, 0] for M in self.bent]
         slopes = [f[0] / tau - v / (2 * tau * tau) for f, v in zip(forces, turned, strict=True)]
+        for s in self.symbols:
+            heavier = matrix_at(self.M.diff(s), there) * (1 / tau)
+            stiffer = matrix_at(self.R.diff(s), known) - heavier
+            slopes.append((arb_mat([e]) * stiffer * column)[0, 0] / (2 * tau))
         return value, slopes
 
     def _damped(self, known: dict[sp.Symbol, arb]) -> arb_mat:

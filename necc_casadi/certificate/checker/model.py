@@ -24,7 +24,7 @@ __all__ = ["StoredDesign"]
 
 
 class StoredIntegral:
-    """Integral action: τ in natural units, and the limits of ζ as they stand.
+    """Integral action: τ and the limits of ζ in natural units, and these as they stand.
 
     Raises
     ------
@@ -40,6 +40,7 @@ class StoredIntegral:
         if not positive or not len(self.gain) == len(self.stated) == len(scale.input):
             raise ValueError("integral action needs positive numbers, one for each input")
         self.tau = tau / scale.time
+        self.limit = divided(self.stated, scale.input)
 
 
 class StoredDesign:
@@ -69,6 +70,8 @@ class StoredDesign:
         )
         self.G = self._matrix(model["G"], x, lambda i, j: T * U[j] / plant[i])
         self.m = self.G.cols
+        words = ["u"] if self.m == 1 else [f"u{j + 1}" for j in range(self.m)]
+        self.inputs: list[str] = model.get("inputs", words)
         self.inertia: sp.Matrix | None = None
         if "inertia" in model:
             k = self.n // 2
@@ -121,6 +124,14 @@ class StoredDesign:
         }
         if not set(self.setpoints) <= set(model["states"][: self.n // 2]):
             raise ValueError("a set-point of what is no coordinate")
+        #: Parameter → ends of its range, and the plant with these as symbols, where some are told.
+        told = data.get("told", {"ranges": {}, "plant": None})
+        self.told_ranges = {str(k): (str(lo), str(hi)) for k, (lo, hi) in told["ranges"].items()}
+        self.told_plant: Mapping[str, Any] | None = told["plant"]
+        if set(self.told_ranges) & set(self.states) or not all(
+            name.isidentifier() for name in self.told_ranges
+        ):
+            raise ValueError("a parameter that is told needs a word of its own")
         units = dict(zip(self.states, S, strict=True))
         self.domain = {
             name: tuple(parse(v, {}) / units[name] for v in bounds)

@@ -1,10 +1,11 @@
-"""plant.json: the plant of a design with parameters as symbols."""
+"""plant.json, or what design.json tells of parameters: the plant with these as symbols."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
 from functools import cached_property
+from typing import Any
 
 import sympy as sp
 
@@ -43,11 +44,14 @@ class StoredPlants:
     """
 
     def __init__(
-        self, model: StoredDesign, text: str | None, ranges: Mapping[str, Sequence[str]]
+        self,
+        model: StoredDesign,
+        text: str | Mapping[str, Any] | None,
+        ranges: Mapping[str, Sequence[str]],
     ) -> None:
         if text is None:
             raise ValueError("plant.json is missing")
-        data = json.loads(text)
+        data = json.loads(text) if isinstance(text, str) else text
         names, plain = data["names"], data["symbols"]
         if names[: model.n] != model.states[: model.n] or len(set(names)) != len(plain):
             raise ValueError("plant.json is of other states")

@@ -160,7 +160,8 @@ def check_design(data: Mapping[str, Any]) -> None:
     casimirs = _texts(data["casimirs"]["functions"])
     _check_names(model, len(casimirs), len(data["D"]))
     points = [text for side in dict(data.get("setpoints", {})).values() for text in _texts(side)]
-    _check_expressions([*_written(model), *casimirs, *_texts(data["target"]), *points])
+    told = _told(data["told"]) if "told" in data else []
+    _check_expressions([*_written(model), *casimirs, *_texts(data["target"]), *points, *told])
     inner, betas = len(model["controller_states"]), form["betas"]
     inputs = [inner, *([1] * (1 + len(casimirs)) if betas else [len(casimirs)])]
     networks = [form["hc"], form["k"], *betas]
@@ -176,9 +177,12 @@ def _check_names(model: Mapping[str, Any], casimirs: int, inputs: int) -> None:
     symbols = _texts(model["symbols"])
     if not len(names) == len(symbols) == len(set(names)) == len(set(symbols)):
         raise ValueError("each state needs a name and a symbol of its own")
+    own = _texts(model.get("inputs", []))
+    if len(own) not in (0, inputs) or len({*names, *own}) != len(names) + len(own):
+        raise ValueError("each input needs a name of its own")
     if max(len(names), inputs, casimirs) > _MOST_STATES:
         raise ValueError(f"more than {_MOST_STATES} states, inputs or Casimirs")
-    if any(escaped(name) != name or len(name) > _LONGEST_NAME for name in (*names, *symbols)):
+    if any(escaped(name) != name or len(name) > _LONGEST_NAME for name in (*names, *own, *symbols)):
         raise ValueError("a name that is too long or holds characters that cannot be shown")
 
 
@@ -191,6 +195,21 @@ def _written(model: Mapping[str, Any]) -> list[str]:
     matrices += [model["inertia"]] if "inertia" in model else []
     rows = [row for matrix in matrices for row in matrix] + list(dict(model["domain"]).values())
     return _texts([model["H"], *gamma, *(entry for row in rows for entry in _texts(row))])
+
+
+def _told(data: Mapping[str, Any]) -> list[str]:
+    """The expressions of a plant with parameters that are told."""
+    plant, sides = data["plant"], dict(data["ranges"]).values()
+    if len(_texts(plant["names"])) > _MOST_STATES + len(sides) or len(sides) > _MOST_STATES:
+        raise ValueError(f"more than {_MOST_STATES} parameters")
+    rows = [row for key in ("J", "R", "G") for row in plant[key]]
+    values = list(dict(plant["parameters"]).values())
+    words = [*plant["names"], *_texts(plant["symbols"]), *dict(data["ranges"])]
+    return [
+        *words,
+        *_texts([plant["H"], *values]),
+        *(v for row in (*rows, *sides) for v in _texts(row)),
+    ]
 
 
 def _check_expressions(texts: list[str]) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -67,24 +67,36 @@ class MovedPlant:
 
     @classmethod
     def of(cls, model: StoredDesign) -> MovedPlant:
-        """Of the set-points that design.json names; r may be rounded, as the target is."""
+        """Of the set-points that design.json names; r may be rounded, as the target is.
+
+        And of the parameters that the controller is told.
+        """
         place: dict[sp.Symbol, sp.Expr] = {}
         ranges: dict[sp.Symbol, tuple[sp.Expr, ...]] = {}
         for i, s in enumerate(model.z[: model.n // 2]):
             side = model.setpoints.get(model.states[i])
             if side is not None:
                 r = sp.Dummy(f"r_{s}", real=True)
-                lo, hi = (parse(v, {}) for v in side)
-                slack = sp.Rational(1, 2**48) * (1 + sp.Abs(lo) + sp.Abs(hi))
                 unit = sp.Rational(*float(model.units.state[i]).as_integer_ratio())
                 place[s] = s + r / unit - model.target[i]
-                ranges[r] = lo - slack, hi + slack
-        inertia = sp.zeros(0, 0) if model.inertia is None else model.inertia
+                ranges[r] = _rounded([parse(v, {}) for v in side])
+        H, inertia = model.H, sp.zeros(0, 0) if model.inertia is None else model.inertia
+        if model.told_ranges:
+            told = StoredPlants(model, model.told_plant, model.told_ranges)
+            H, inertia = told.H, told.inertia
+            ranges |= {s: _rounded(side) for s, side in told.ranges.items()}
 
         def there(expr: sp.Expr) -> sp.Expr:
             return sp.sympify(expr).subs(place, simultaneous=True)
 
-        return cls(there(model.H), model.R, inertia.applyfunc(there), ranges)
+        return cls(there(H), model.R, inertia.applyfunc(there), ranges)
+
+
+def _rounded(side: Sequence[sp.Expr]) -> tuple[sp.Expr, ...]:
+    """Both ends farther out than a double is off."""
+    lo, hi = side
+    slack = sp.Rational(1, 2**48) * (1 + sp.Abs(lo) + sp.Abs(hi))
+    return lo - slack, hi + slack
 
 
 #: A plant in place of the one of the model.
@@ -133,6 +145,9 @@ class StoredRemainders(ABC):
         grad = [sp.diff(self.U, s) for s in self.q]
         self.grad_U, self.hess_U = grad, [[sp.diff(g, s) for s in self.q] for g in grad]
         self.bent = [self.M.diff(s) for s in self.q]
+        self.along_theta = [
+            (sp.diff(self.U, s), [sp.diff(g, s) for g in grad]) for s in self.symbols
+        ]
         self.xi_bar = self._minimum()
         if self.xi_bar is not None:
             self.rest = self._rest()
@@ -195,10 +210,53 @@ class StoredRemainders(ABC):
 
     # --- the box ------------------------------------------------------------------------------
 
+    @property
+    def rests(self) -> list[arb]:
+        """The coordinates at which it may be at rest."""
+        return self.q_star
+
+    @property
+    def leads(self) -> arb:
+        """The energy beside E is at least ½vᵀMv with v = q̇ + e times this."""
+        return arb(0)
+
+    def keeps_momenta(self, box: Box) -> bool:
+        """Every named bound of a momentum is out of reach where E is below the level.
+
+        (Mv)ᵢ² ≤ Mᵢᵢ vᵀMv, and the momenta M q̇ are Mv less M e times what v leads by.
+        """
+        model, k = self.model, self.k
+        rates = model.J[:k, k : model.n]  # p = AᵀM q̇ in natural units, A diagonal
+        units = [evaluate(rates[i, i], {}) for i in range(k)]
+        named = [
+            (i, arb(lo) / units[i], arb(hi) / units[i])
+            for i, (lo, hi) in enumerate(model.named_bounds[k : 2 * k])
+            if model.states[k + i] in model.domain
+        ]
+        if named and any(rates[i, j] != 0 for i in range(k) for j in range(k) if i != j):
+            return False
+
+        def kept(cell: Box) -> bool:
+            left = 2 * (self.level - self._energy(cell))
+            if left < 0:
+                return True
+            e = [ball(*side) for side in cell[:k]]
+            here = {s: v + d for s, v, d in zip(self.q, self.q_star, e, strict=True)}
+            M = self.inertia(here | self.known(cell))
+            ahead = M * arb_mat([[v * self.leads] for v in e])
+            for i, lo, hi in named:
+                reach, step = M[i, i] * left, ahead[i, 0]
+                above, below = hi + step, -(lo + step)
+                if not (above > 0 and below > 0 and reach < above**2 and reach < below**2):
+                    return False
+            return True
+
+        return not named or by_bisection(box, kept, _DEPTH)
+
     def keeps_bounds(self, box: Box) -> bool:
         """Whether every bound that the model names is outside."""
         model, k = self.model, self.k
-        at = [*self.q_star, *(arb(v) for v in model.xi_star)]
+        at = [*self.rests, *(arb(v) for v in model.xi_star)]
         places = [*range(k), *range(model.n, len(model.z))]
         for (lo, hi), middle, place in zip(box[: 2 * k], at, places, strict=True):
             low, high = model.named_bounds[place]
@@ -240,14 +298,13 @@ class StoredRemainders(ABC):
         return bool(self._energy(box) > self.level)
 
     def _energy(self, box: Box) -> arb:
-        """E over a box: value at the middle and slopes over the box; θ is not centred."""
-        at = tuple((m, m) for m in (lo / 2 + hi / 2 for lo, hi in box[: 2 * self.k]))
-        middle: Box = at + box[2 * self.k :]
+        """E over a box of (e, ξ̃, θ): value at the middle and slopes over the box."""
+        middle: Box = tuple((m, m) for m in (lo / 2 + hi / 2 for lo, hi in box))
         value = self._value_and_slopes(middle)[0]
         if middle == box:
             return value
         slopes = self._value_and_slopes(box)[1]
-        for (lo, hi), (m, _), slope in zip(box[: 2 * self.k], at, slopes, strict=True):
+        for (lo, hi), (m, _), slope in zip(box, middle, slopes, strict=True):
             value = value + slope * (ball(lo, hi) - arb(m))
         return value
 
@@ -283,13 +340,18 @@ class StoredRemainders(ABC):
         for i in range(k):
             pull = sum((self.slopes[j, k + i] * dk[j] for j in range(k)), arb(0))
             slopes.append(dh[i] + pull)
+        for (U, grad), own in zip(self.along_theta, steeper[k:], strict=True):
+            slope = evaluate(U, there) - evaluate(U, rest_q | known) + own
+            for v, g in zip(e, grad, strict=True):
+                slope = slope - evaluate(g, rest_q | known) * v
+            slopes.append(slope)
         return value, slopes
 
     def added(
         self, there: dict[sp.Symbol, arb], known: dict[sp.Symbol, arb], e: list[arb]
     ) -> tuple[arb, list[arb]]:
-        """What else E has, as a function of q and θ, and its slopes in q."""
-        return arb(0), [arb(0)] * self.k
+        """What else E has, as a function of q and θ, and its slopes in these."""
+        return arb(0), [arb(0)] * (self.k + len(self.symbols))
 
     @abstractmethod
     def is_positive(self, box: Box, stretches: int) -> bool:

@@ -12,8 +12,10 @@ from necc_casadi.certificate.checker.arithmetic.definite import norm, positive
 from necc_casadi.certificate.checker.evidence import Checked, Evidence
 from necc_casadi.certificate.checker.integral import is_covered
 from necc_casadi.certificate.checker.model import StoredDesign
+from necc_casadi.certificate.checker.plants import StoredPlants
 from necc_casadi.certificate.checker.remainders import MovedPlant, StoredRemainders
 from necc_casadi.certificate.claims import statements
+from necc_casadi.symbolic.expressions import parse
 
 __all__ = ["check_setpoints"]
 
@@ -25,7 +27,7 @@ def check_setpoints(evidence: Evidence, sound: bool) -> Checked | None:
     """
     model = evidence.model
     if not evidence.claimed("setpoints"):
-        if not model.setpoints:
+        if not model.setpoints and not model.told_ranges:
             return None
         return Checked("setpoints", False, "nothing is claimed of the set-points that move")
     level, mu, away = (evidence.number("setpoints", key) for key in ("level", "mu", "away"))
@@ -33,10 +35,13 @@ def check_setpoints(evidence: Evidence, sound: bool) -> Checked | None:
     kept = [*range(model.n // 2), *range(model.n, len(model.z))]
     sides = zip(kept, widths, strict=False)
     told = {model.states[i]: width * model.units.state[i] for i, width in sides}
-    text = statements.setpoints(level * model.units.energy, told, away, model.setpoints)
-    covered = model.setpoints and model.integral is None and is_covered(model, coupled=True)
+    ranges = {**model.setpoints, **model.told_ranges}
+    text = statements.setpoints(level * model.units.energy, told, away, ranges)
+    covered = ranges and model.integral is None and is_covered(model, coupled=True)
     if not covered or len(widths) != 2 * model.m or not all(v > 0 for v in (*widths, mu)):
         return Checked("setpoints", False, f"{text}; not proved: the plant and loop are covered")
+    if not _tells_of_this_plant(model):
+        return Checked("setpoints", False, f"{text}; not proved: what is told is of this plant")
     moved = MovedPlant.of(model)
     held = _Held(model, level, moved, mu, widths)
     box: Box = tuple((-v, v) for v in widths) + held.theta
@@ -50,9 +55,18 @@ def check_setpoints(evidence: Evidence, sound: bool) -> Checked | None:
             ("M ≻ 0 in the box", partial(held.has_mass, box)),
             ("V above the level on the sides", partial(held.is_closed, box)),
             ("mean slopes ⪰ μI where V is not", partial(held.falls_in, box)),
+            ("the momenta keep the bounds of the model", partial(held.keeps_momenta, box)),
             ("how far from the set-point it rests", lambda: bool(held.away() <= away)),
         ],
     )
+
+
+def _tells_of_this_plant(model: StoredDesign) -> bool:
+    """Parameters that are told stand in M and U alone, and the nominal plant is the design's."""
+    if not model.told_ranges:
+        return True
+    told = StoredPlants(model, model.told_plant, model.told_ranges)
+    return set(told.nominal) == set(told.ranges) and told.R == model.R and told.fits(model)
 
 
 class _Held(StoredRemainders):
@@ -66,6 +80,16 @@ class _Held(StoredRemainders):
         if self.xi_bar is not None:  # V differs from E by gᵀe
             reach = zip(self.left(), widths, strict=False)
             self.level = self.level + sum((g.abs_upper() * w for g, w in reach), arb(0)).upper()
+
+    @property
+    def rests(self) -> list[arb]:
+        """Every set-point of its range."""
+        model, found = self.model, list(self.q_star)
+        for name, side in model.setpoints.items():
+            i = model.states.index(name)
+            lo, hi = (evaluate(parse(v, {}), {}) / arb(model.units.state[i]) for v in side)
+            found[i] = lo.union(hi)
+        return found
 
     def left(self) -> list[arb]:
         """G = ∇U(q*) + N_x∇K at (q*, ξ̄)."""

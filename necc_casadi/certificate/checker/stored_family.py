@@ -181,7 +181,7 @@ class StoredFamily:
         }
         moved = [p for p in self.parameters if p.kind == "setpoint"]
         pushed = [p for p in self.parameters if p.kind == "disturbance"]
-        inputs = [f"d_{name}" for name in _inputs(model.m)]
+        inputs = [f"d_{name}" for name in model.inputs]
         return (
             len(set(names)) == len(names)
             and all(p.name in own and _vanish([own[p.name] - p.symbol]) for p in moved)
@@ -284,11 +284,6 @@ class StoredFamily:
         slopes = sp.Matrix([[sp.diff(c, v) for v in self._x] for c in self.model.casimirs])
         used = (slopes * self.G).applyfunc(sp.simplify)
         return not used.free_symbols & unknown
-
-
-def _inputs(m: int) -> list[str]:
-    """Names of the inputs, as in `model/sizes.py`."""
-    return ["u"] if m == 1 else [f"u{i + 1}" for i in range(m)]
 
 
 def _vanish(entries: Sequence[sp.Expr]) -> bool:

@@ -24,6 +24,7 @@ __all__ = [
     "DECREASE",
     "GLOBAL",
     "INTEGRAL_IS_NOT_COVERED",
+    "INTEGRAL_IS_TOO_SMALL",
     "MATCHING",
     "MEASURED_OF_ANY_MASS",
     "MEASURED_OF_THIS_MASS",
@@ -109,6 +110,12 @@ NOT_MEASURED = "q̇ is not proved to be what the controller takes for the moment
 INTEGRAL_IS_NOT_COVERED = (
     "nothing is proved of the integral action: the plant, its loop or its damping is not of the "
     "kind that is covered"
+)
+
+
+INTEGRAL_IS_TOO_SMALL = (
+    "nothing is proved of the integral action: its limits are not proved to leave room for every "
+    "disturbance and parameter in their ranges"
 )
 
 
@@ -256,16 +263,23 @@ def integral(
     box: Mapping[str, float],
     limits: Sequence[float],
     ranges: Mapping[str, Sequence[str]],
+    disturbance: Sequence[Sequence[str]] = (),
 ) -> str:
-    """Of the level of W, the box of (q, ξ) by half widths, the limits of ζ and parameters."""
+    """Of the level of W, the box of (q, ξ) by half widths, the limits of ζ and what is unknown.
+
+    Without a range of disturbances: of all for which the limits of ζ are enough.
+    """
     bounds = ", ".join(f"{_down(v, 6)}" for v in limits)
+    pushes = ", ".join(f"[{lo}, {hi}]" for lo, hi in disturbance)
     sides = ", ".join(f"{name} ± {_down(width, 6)}" for name, width in box.items())
     known = "".join(f", {name} in [{lo}, {hi}]" for name, (lo, hi) in ranges.items())
+    enough = f" whose ζ* is within ±({bounds})"
+    if pushes:
+        known, enough = f" in {pushes}{known}", f", ζ* within ±({bounds})"
     return (
         f"with integral action every solution that starts with W ≤ {_down(level, 6)} and {sides} "
         "about its place at rest stays there, and q → q* without offset, for every constant "
-        f"disturbance{known} whose ζ* is within ±({bounds}); what else is claimed of solutions is "
-        "of the loop with ζ = 0"
+        f"disturbance{known}{enough}; what else is claimed of solutions is of the loop with ζ = 0"
     )
 
 
@@ -281,7 +295,10 @@ def momenta(ranges: Mapping[str, Sequence[str]]) -> str:
 def setpoints(
     level: float, box: Mapping[str, float], away: float, ranges: Mapping[str, Sequence[str]]
 ) -> str:
-    """Of one level of V and one box (q, ξ) about every set-point; `away` in natural units."""
+    """Of one level of V and one box (q, ξ) about every set-point; `away` in natural units.
+
+    Ranges are of set-points and of parameters that the controller is told.
+    """
     sides = ", ".join(f"{name} ± {_down(width, 6)}" for name, width in box.items())
     known = ", ".join(f"{name} in [{lo}, {hi}]" for name, (lo, hi) in ranges.items())
     return (
@@ -351,7 +368,7 @@ def unproved(limits: Sequence[Sequence[float]]) -> Mapping[str, frozenset[str]]:
         "family": frozenset(NO_FAMILY.values()),
         "members": frozenset([NO_MEMBERS]),
         "everywhere": frozenset(map(not_everywhere, get_args(NotEverywhere))),
-        "integral": frozenset([INTEGRAL_IS_NOT_COVERED, NO_INTEGRAL]),
+        "integral": frozenset([INTEGRAL_IS_NOT_COVERED, INTEGRAL_IS_TOO_SMALL, NO_INTEGRAL]),
         "sampled": frozenset(map(sampled_is_not_covered, get_args(NotSampled))),
     }
 

@@ -73,6 +73,15 @@ class Terms(ABC):
     def falls(self, Z: Interval) -> Truth:
         """Whether what has to hold below the level does, (B,)."""
 
+    @property
+    def rests(self) -> tuple[Vector, Vector]:
+        """Least and greatest coordinates at which it may be at rest, (m,) each."""
+        return self.q_star, self.q_star
+
+    def ceiling(self, Z: Interval) -> Vector:
+        """Below this level no momentum leaves the bounds that the model names, on boxes, (B,)."""
+        return np.full(Z.shape[0], np.inf)
+
 
 @dataclass(frozen=True, eq=False)
 class BoxProof:
@@ -110,8 +119,11 @@ def _promising(terms: Terms) -> list[tuple[float, Vector, float]]:
         least = float(terms.energy(point(sides * scale)).lo.min())
         if not (np.isfinite(least) and least > 0):
             continue
-        level, Z = least, inside * scale
+        Z = inside * scale
         if not np.all(terms.has_mass(point(Z))):
+            continue
+        level = min(least, float(terms.ceiling(point(Z)).min()))
+        if not level > 0:
             continue
         below = terms.energy(point(Z)).lo <= level
         if np.all(terms.falls(point(Z[below]))):
@@ -136,12 +148,12 @@ def _with_parameters(terms: Terms, points: Vector) -> Vector:
 def _is_within(terms: Terms, half: Vector) -> bool:
     """Whether the box keeps the bounds that the model names."""
     loop, k = terms.design.loop, terms.m
-    middle = np.concatenate([terms.q_star, terms.design.xi_star])
+    low, high = (np.concatenate([side, terms.design.xi_star]) for side in terms.rests)
     names = (*loop.plant.states[:k], *loop.controller.states)
-    for name, at, reach in zip(names, middle, half, strict=True):
+    for name, least, most, reach in zip(names, low, high, half, strict=True):
         if name in loop.plant.domain:
             lo, hi = (float(v) for v in loop.plant.domain[name])
-            if not (lo < at - reach and at + reach < hi):
+            if not (lo < least - reach and most + reach < hi):
                 return False
     return True
 
@@ -171,11 +183,12 @@ def _over_all(terms: Terms, Z: Interval) -> Interval:
 
 
 def _settled(terms: Terms, E: Interval, Z: Interval, level: float) -> Truth:
-    """M ≻ 0, and E_W > c or S ≻ 0."""
+    """M ≻ 0, and E_W > c, or S ≻ 0 and every momentum within its bounds."""
     high: Truth = np.asarray((E.lo > level) & terms.has_mass(Z))
     result = high.copy()
     if not high.all():
-        result[~high] = terms.falls(Z[~high])
+        low = Z[~high]
+        result[~high] = terms.falls(low) & (level < terms.ceiling(low))
     return result
 
 

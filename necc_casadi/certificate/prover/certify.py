@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -40,6 +40,7 @@ from necc_casadi.certificate.prover.solutions import what_follows
 from necc_casadi.certificate.prover.vanishing_damping import prove_slow_attraction
 from necc_casadi.designs.design import Design
 from necc_casadi.model.lagrangian import Plants
+from necc_casadi.model.ranges import Range
 
 __all__ = ["certify", "units_of", "with_sampled_loop"]
 
@@ -59,6 +60,7 @@ def certify(
     integrator: Integrator = "heun",
     report: Report | None = None,
     plants: Plants | None = None,
+    disturbance: Sequence[Range] = (),
 ) -> Certificate:
     """Prove what can be proved about a design.
 
@@ -76,6 +78,8 @@ def certify(
         Called with the stage at hand and the share that is done.
     plants
         The plants for which integral action is to leave no offset; by default that of the model.
+    disturbance
+        Of the inputs, one range each, for which it is; by default whatever its limits allow.
 
     Returns
     -------
@@ -111,7 +115,11 @@ def certify(
     certificate = _collect(design, claims, equilibrium, stability)
     if region:
         told("region", 0.0)
-        certificate = _extended(certificate, design, potential, equilibrium, plants)
+        certificate = _extended(certificate, design, potential, equilibrium)
+        if stability is not None:
+            added = (prove_integral(design, plants, disturbance), prove_setpoints(design))
+            more = tuple(claim for claim in added if claim is not None)
+            certificate = replace(certificate, claims=(*certificate.claims, *more))
         told("region", 1.0)
     if sample_time is not None:
         told("sampled", 0.0)
@@ -176,7 +184,6 @@ def _extended(
     design: Design,
     potential: Potential,
     equilibrium: Equilibrium,
-    plants: Plants | None,
 ) -> Certificate:
     """The certificate with the whole space, the region and the input limits."""
     stability = certificate.stability
@@ -195,8 +202,6 @@ def _extended(
     if design.loop.plant.u_limits is not None:
         claims += [_limits_claim(design, proof), _clipping_claim(design, proof)]
     claims.append(_global_claim(everywhere))
-    integral = prove_integral(design, plants)
-    claims += [claim for claim in (integral, prove_setpoints(design)) if claim is not None]
     found = replace(
         certificate,
         claims=(*certificate.claims, *claims),

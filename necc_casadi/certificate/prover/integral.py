@@ -8,34 +8,51 @@ With e = q − q*, ξ̃ = ξ − ξ̄, where ξ̄ is the minimum of Hc(ξ) + K(c
 
 On each cell of the box either E_W > c or S ≻ 0, and E_W > c on the sides of the box: a solution
 that starts with W ≤ c and (e, ξ̃) in the box stays there, and e → 0 for every ζ* within the limits.
+For disturbances within bounds ζ* = d − B⁻¹∇U(q*) − Gcᵀ∇Hc(ξ̄) is enclosed.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import sympy as sp
 
-from necc_casadi.arrays import Truth
+from necc_casadi.arrays import Truth, Vector
 from necc_casadi.certificate.claims import statements
 from necc_casadi.certificate.claims.claim import Claim
-from necc_casadi.certificate.prover.arithmetic.boxes import matrix_enclosure
+from necc_casadi.certificate.prover.arithmetic.boxes import matrix_enclosure, subdivide
 from necc_casadi.certificate.prover.arithmetic.definite import positive_definite, solve
 from necc_casadi.certificate.prover.arithmetic.intervals import Interval, matmul, point
+from necc_casadi.certificate.prover.arithmetic.jets import constant, coordinates
 from necc_casadi.certificate.prover.box import beside, searched
 from necc_casadi.certificate.prover.remainders import Remainders, exact, transposed
 from necc_casadi.designs.design import Design
-from necc_casadi.model.lagrangian import Plants, integral_obstacle, lagrangian
+from necc_casadi.model.lagrangian import Lagrangian, Plants, integral_obstacle, lagrangian
+from necc_casadi.model.ranges import Range
+from necc_casadi.symbolic.derivatives import gradient
 from necc_casadi.symbolic.expressions import to_text
 
 __all__ = ["IntegralTerms", "prove_integral"]
 
 
-def prove_integral(design: Design, plants: Plants | None = None) -> Claim | None:
+#: Of ζ* in natural units and 1: what is told of it is so much wider, as balls are coarse.
+_ROOM = 2.0**-24
+
+
+#: Parts of the range of a parameter, and parameters that are cut, where ζ* is enclosed.
+_PARTS, _MOST_CUT = 8, 3
+
+
+def prove_integral(
+    design: Design, plants: Plants | None = None, disturbance: Sequence[Range] = ()
+) -> Claim | None:
     """That the target is held without offset; None where the design has no integral action.
 
-    With `plants` for every value of their parameters.
+    With `plants` for every value of their parameters; with `disturbance`, one range per input, for
+    every constant one of these, in place of all whose ζ* is within the limits.
     """
     if design.integral is None:
         return None
@@ -47,23 +64,39 @@ def prove_integral(design: Design, plants: Plants | None = None) -> Claim | None
     if plant is None:
         return Claim("integral", False, statements.INTEGRAL_IS_NOT_COVERED)
     terms = IntegralTerms(design, plant)
-    found = None if terms.xi_bar is None else searched(terms)
+    if terms.xi_bar is None:
+        return Claim("integral", False, statements.NO_INTEGRAL)
+    resting = terms.resting(disturbance) if disturbance else None
+    if resting is not None and not np.all(resting.magnitude < terms.limit):
+        return Claim("integral", False, statements.INTEGRAL_IS_TOO_SMALL)
+    found = searched(terms)
     if found is None:
         return Claim("integral", False, statements.NO_INTEGRAL)
     level = found.level * design.units.energy
     ranges = {str(s): tuple(map(to_text, side)) for s, side in plant.ranges.items()}
-    data = {
+    data: dict[str, Any] = {
         "level": found.level,
         "half_widths": [float(v) for v in found.half_widths],
         **({"uncertain": {name: list(side) for name, side in ranges.items()}} if ranges else {}),
     }
+    pushes = [tuple(map(to_text, side)) for side in disturbance]
+    if resting is not None:
+        data["disturbance"] = [list(side) for side in pushes]
+        data["resting"] = [list(side) for side in zip(*_told(resting), strict=True)]
     kept = [*range(terms.k), *range(loop.plant.n, loop.n)]
     box = {
         loop.states[i]: float(width * design.units.state[i])
         for i, width in zip(kept, found.half_widths, strict=True)
     }
-    text = statements.integral(level, box, [float(v) for v in design.integral.limit], ranges)
+    limits = [float(v) for v in design.integral.limit]
+    text = statements.integral(level, box, limits, ranges, pushes)
     return Claim("integral", True, text, data)
+
+
+def _told(resting: Interval) -> tuple[list[float], list[float]]:
+    """Ends a little farther out, so that other arithmetic can confirm them."""
+    room = _ROOM * (1 + resting.magnitude)
+    return (resting.lo - room).tolist(), (resting.hi + room).tolist()
 
 
 def _is_uncoupled(design: Design) -> bool:
@@ -76,12 +109,50 @@ def _is_uncoupled(design: Design) -> bool:
 class IntegralTerms(Remainders):
     """E_W and S over boxes."""
 
+    def __init__(self, design: Design, plant: Lagrangian) -> None:
+        super().__init__(design, plant)
+        self.input_units = design.units.input
+
     @property
     def tau(self) -> float:
         """τ in natural units."""
         if self.design.integral is None:
             raise ValueError("no integral action")
         return float(self.design.integral.tau)
+
+    @property
+    def leads(self) -> Interval:
+        """1/τ."""
+        return 1.0 / point(self.tau)
+
+    @property
+    def limit(self) -> Vector:
+        """|ζ| is at most this, (m,), in natural units."""
+        if self.design.integral is None:
+            raise ValueError("no integral action")
+        return self.design.integral.limit
+
+    def resting(self, disturbance: Sequence[Range]) -> Interval:
+        """ζ* for every disturbance, in the units of the model, and every θ; (m,), natural units."""
+        units, m = self.input_units, self.m
+        force = sp.Matrix(self.plant.B).inv() * gradient(self.plant.U, self.plant.q).subs(
+            self.there
+        )
+        theta = self.theta[None]
+        cells = subdivide(self.theta, _PARTS) if 0 < len(self.theta.lo) <= _MOST_CUT else theta
+        weight = matrix_enclosure(force, tuple(self.plant.ranges), cells)[..., 0]
+        held = Interval(weight.lo.min(axis=0), weight.hi.max(axis=0))
+        xi = self.xi_bar
+        if xi is None:
+            raise ValueError("ξ̄ is not enclosed")
+        slope = self._hc(coordinates(xi[None])).grad[0]
+        own = matmul(transposed(self.Gc), slope[:, None])[:, 0]
+        pushed = [tuple(map(constant, side)) for side in disturbance]
+        d = Interval(
+            np.array([lo.lo for lo, _ in pushed]).reshape(m),
+            np.array([hi.hi for _, hi in pushed]).reshape(m),
+        )
+        return d * point(1 / units) - held - own
 
     @cached_property
     def _closed(self) -> sp.Expr:

@@ -12,7 +12,7 @@ from itertools import pairwise
 import numpy as np
 import sympy as sp
 
-from necc_casadi.arrays import Truth
+from necc_casadi.arrays import Truth, Vector
 from necc_casadi.certificate.prover.arithmetic.boxes import matrix_enclosure
 from necc_casadi.certificate.prover.arithmetic.definite import norm, positive_definite
 from necc_casadi.certificate.prover.arithmetic.intervals import (
@@ -34,6 +34,7 @@ from necc_casadi.certificate.prover.box import Terms, beside
 from necc_casadi.designs.design import Design
 from necc_casadi.model.lagrangian import Lagrangian
 from necc_casadi.symbolic.derivatives import gradient, sparse_hessian
+from necc_casadi.symbolic.floats import float_matrix
 
 __all__ = ["Remainders", "exact", "transposed"]
 
@@ -190,6 +191,39 @@ class Remainders(Terms):
             e, theta = Z[:, : self.k], Z[:, 2 * self.m :]
             at = beside(e + np.broadcast_to(self.q_star, e.shape), theta)
             return np.asarray(positive_definite(self.inertia(at, e)[0]))
+
+    @property
+    def leads(self) -> Interval:
+        """The energy beside E(e, ξ̃) is at least ½vᵀMv with v = q̇ + e times this."""
+        return point(0.0)
+
+    def ceiling(self, Z: Interval) -> Vector:
+        """E and the least ½vᵀMv with a momentum on a bound that the model names, (B,).
+
+        (Mv)ᵢ² ≤ Mᵢᵢ vᵀMv, and the momenta M q̇ are Mv less M e times what v leads by.
+        """
+        plant, units, found = self.design.loop.plant, self._momentum_units, []
+        with np.errstate(all="ignore"):
+            e, theta = Z[:, : self.k], Z[:, 2 * self.m :]
+            at = beside(e + np.broadcast_to(self.q_star, e.shape), theta)
+            M = self.inertia(at, e)[0]
+            ahead = matmul(M, e[..., None])[..., 0] * self.leads
+            for i, name in enumerate(plant.states[self.k :]):
+                if name in plant.domain:
+                    lo, hi = (constant(v) * (1 / units[i]) for v in plant.domain[name])
+                    room = np.minimum((hi + ahead[:, i]).lo, (-(lo + ahead[:, i])).lo)
+                    room = np.where(room > 0, room, 0.0)
+                    least = point(room) * point(room) * (0.5 * M[:, i, i].reciprocal())
+                    found.append(least.lo)
+        if not found:
+            return super().ceiling(Z)
+        least = np.where(np.isfinite(found), found, 0.0).min(axis=0)
+        return np.asarray((self.energy(Z) + point(least)).lo, float)
+
+    @cached_property
+    def _momentum_units(self) -> Vector:
+        """Momenta in natural units over M q̇ in such units: powers of two."""
+        return np.diagonal(float_matrix(self.design.loop.plant.J[: self.k, self.k :]))
 
     def mean_slopes(self, Z: Interval) -> tuple[Interval, Interval, Interval]:
         """∇²U, ∇²Hc and N_ξ∇²K N_ξᵀ, averaged from rest to any point of boxes, (B, m, m) each.

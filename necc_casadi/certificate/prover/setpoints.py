@@ -1,4 +1,4 @@
-"""Set-points at run time: one box and one level for every r of a range.
+"""Set-points at run time: one box and one level for every r of a range, and parameters told.
 
 For each r, V(·; r) falls (decrease) and V − V(r) = ½q̇ᵀMq̇ + E + gᵀe, E = Ũ + K₀ + H₀ about r, where
 g is what the training left of the slope at the target. Below the level ∇E has mean slopes ⪰ μI, so
@@ -24,6 +24,7 @@ from necc_casadi.model.lagrangian import Lagrangian, integral_obstacle, lagrangi
 from necc_casadi.model.setpoints import moved, set_points
 from necc_casadi.symbolic.derivatives import gradient
 from necc_casadi.symbolic.expressions import to_text
+from necc_casadi.symbolic.floats import to_floats
 
 __all__ = ["prove_setpoints"]
 
@@ -37,16 +38,20 @@ _MU = 0.02
 
 
 def prove_setpoints(design: Design) -> Claim | None:
-    """That one box holds solutions at every set-point of the design; None where it has none."""
-    if not design.setpoints:
+    """That one box holds solutions at every set-point of the design; None where it has none.
+
+    And for every value of the parameters that the controller is told.
+    """
+    if not design.setpoints and design.told is None:
         return None
-    loop = design.loop
+    loop, told = design.loop, design.told
     obstacle = integral_obstacle(loop, design.casimirs.functions, design.form.phi is None)
-    plant = lagrangian(loop, design.units)
-    if obstacle is not None or design.form.betas or plant is None or design.integral is not None:
+    plain, plant = lagrangian(loop, design.units), lagrangian(loop, design.units, told)
+    covered = obstacle is None and not design.form.betas and design.integral is None
+    if not covered or plain is None or plant is None or plant.R != plain.R:
         return Claim("setpoints", False, statements.SETPOINTS_ARE_NOT_COVERED)
-    points = set_points(loop.plant, design.z_star[: loop.plant.n // 2], design.setpoints)
-    terms = SetPointTerms(design, moved(plant, points, design.units), plant)
+    points = set_points(loop.plant, design.z_star[: loop.plant.n // 2], design.setpoints, told)
+    terms = SetPointTerms(design, moved(plant, points, design.units), plain)
     found = None if terms.xi_bar is None else searched(terms)
     if found is None:
         return Claim("setpoints", False, statements.NO_SETPOINTS)
@@ -66,6 +71,8 @@ def prove_setpoints(design: Design) -> Claim | None:
         for i, width in zip(kept, found.half_widths, strict=True)
     }
     ranges = {k: tuple(map(to_text, side)) for k, side in design.setpoints.items()}
+    known = told.ranges if told is not None else {}
+    ranges |= {k: tuple(map(to_text, side)) for k, side in known.items()}
     text = statements.setpoints(level * design.units.energy, box, far, ranges)
     return Claim("setpoints", True, text, data)
 
@@ -76,6 +83,17 @@ class SetPointTerms(Remainders):
     def __init__(self, design: Design, plant: Lagrangian, nominal: Lagrangian) -> None:
         super().__init__(design, plant)
         self.nominal = nominal  # as it is seen at q*
+        names, sizes = design.loop.plant.states, design.units.state
+        self._sizes = {name: float(sizes[names.index(name)]) for name in design.setpoints}
+
+    @property
+    def rests(self) -> tuple[Vector, Vector]:
+        """The ends of the ranges of set-points, (k,) each."""
+        low, high, names = self.q_star.copy(), self.q_star.copy(), self.design.loop.plant.states
+        for name, side in self.design.setpoints.items():
+            i = names.index(name)
+            low[i], high[i] = to_floats(side) / self._sizes[name]
+        return low, high
 
     @cached_property
     def left(self) -> Interval:

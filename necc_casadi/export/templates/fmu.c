@@ -1,8 +1,10 @@
 /* fmu.c: the controller of necc.h as an FMI 2.0 co-simulation unit.
  *
- * Inputs x, outputs u, xi, the margin (see necc.h) and flags. u follows x at once: it is the law at the present x and xi.
- * fmi2DoStep(h) is one necc_step, with dt what passed since the last; xi is that of the present. Value references: x, u, xi, margin; Integer 0 is
- * flags; Boolean 0 tells whether xi starts at the minimum of V(x, .); if not, it starts @otherwise@.
+ * Inputs x and the target, outputs u, xi, zeta, the margin (see necc.h) and flags; parameters may be
+ * told at any time. u follows x at once: it is the law at the present x and xi. fmi2DoStep(h) is one
+ * necc_step, with dt what passed since the last; xi is that of the present. Value references: x, u,
+ * xi, zeta, margin, target, parameters; Integer 0 is flags, 1 what becomes of xi (necc_set_switch);
+ * Boolean 0 tells whether xi starts at the minimum of V(x, .); if not, it starts @otherwise@.
  */
 #include "necc.h"
 
@@ -10,8 +12,14 @@
 #include <string.h>
 
 #define GUID "@guid@"
+/* Value references of the first of each kind. */
+#define ZETA (NECC_NX + NECC_NU + NECC_NXI)
+#define MARGIN (ZETA + NECC_HAS_INTEGRAL * NECC_NU)
+#define TARGETS (MARGIN + NECC_HAS_MARGIN)
 #if NECC_HAS_TARGET
-#define TARGETS (NECC_NX + NECC_NU + NECC_NXI) /* value reference of the first; no zeta, no margin */
+#define PARAMETERS (TARGETS + NECC_NR)
+#else
+#define PARAMETERS TARGETS
 #endif
 
 #if defined(_WIN32)
@@ -48,9 +56,13 @@ typedef struct {
 #if NECC_HAS_TARGET
     necc_real target[NECC_NR]; /* commanded; the state has the one that is applied */
 #endif
+#if NECC_HAS_PARAMETER
+    necc_real parameters[NECC_NTHETA]; /* told; taken with the next sample */
+#endif
     necc_real since; /* the last sample, s */
     int flags;
     int start_at_minimum;
+    int how; /* what becomes of xi where the target or a parameter changes */
     void *(*allocate)(size_t, size_t);
     void (*release)(void *);
 } instance;
@@ -66,6 +78,10 @@ static void set_defaults(instance *self)
 #if NECC_HAS_TARGET
     necc_get_target(&self->state, self->target);
 #endif
+#if NECC_HAS_PARAMETER
+    necc_get_parameter(&self->state, self->parameters);
+#endif
+    self->how = 0;
 }
 
 FUNCTION(fmi2String, fmi2GetTypesPlatform, void) { return "default"; }
@@ -77,8 +93,9 @@ FUNCTION(fmi2Component, fmi2Instantiate, fmi2String name, int type, fmi2String g
 {
     instance *self;
     (void)name, (void)resources, (void)visible, (void)logging;
-    if (type != 1 || strcmp(guid, GUID) != 0)
+    if (type != 1 || strcmp(guid, GUID) != 0) {
         return NULL;
+    }
     self = functions->allocateMemory(1, sizeof *self);
     if (self != NULL) {
         self->allocate = functions->allocateMemory;
@@ -90,8 +107,9 @@ FUNCTION(fmi2Component, fmi2Instantiate, fmi2String name, int type, fmi2String g
 
 FUNCTION(void, fmi2FreeInstance, fmi2Component c)
 {
-    if (c != NULL)
+    if (c != NULL) {
         ((instance *)c)->release(c);
+    }
 }
 
 FUNCTION(fmi2Status, fmi2SetDebugLogging, fmi2Component c, fmi2Boolean on, size_t n,
@@ -118,10 +136,11 @@ FUNCTION(fmi2Status, fmi2ExitInitializationMode, fmi2Component c)
 {
     instance *self = c;
     self->flags = NECC_OK;
-    if (self->start_at_minimum)
+    if (self->start_at_minimum) {
         self->flags = necc_init_at(&self->state, self->x);
-    else
+    } else {
         self->flags = @start_otherwise@;
+    }
     return self->flags == NECC_OK ? fmi2OK : fmi2Warning;
 }
 
@@ -137,17 +156,25 @@ FUNCTION(fmi2Status, fmi2Reset, fmi2Component c)
     return fmi2OK;
 }
 
-/* One sample of a state at the present x; where set-points move, for the one that is applied. */
+/* One sample of a state at the present x, for the set-point and the parameters that are applied. */
 static int sample(const instance *self, necc_state *state, necc_real u[NECC_NU])
 {
     int flags = necc_step(state, self->x, u, self->since);
-#if NECC_HAS_TARGET
-    if (!(flags & NECC_REJECTED)) {
-        flags = necc_set_target(state, self->x, self->target);
-        if (flags & NECC_REJECTED)
-            flags = NECC_OUTSIDE; /* a command that is no number */
-        flags |= necc_step(state, self->x, u, (necc_real)0);
+#if NECC_HAS_TARGET || NECC_HAS_PARAMETER
+    int added = NECC_OK;
+    if (flags & NECC_REJECTED) {
+        return flags;
     }
+    necc_set_switch(state, self->how);
+#if NECC_HAS_PARAMETER
+    added |= necc_set_parameter(state, self->parameters);
+#endif
+#if NECC_HAS_TARGET
+    added |= necc_set_target(state, self->x, self->target);
+#endif
+    if (added & NECC_REJECTED) /* a command that is no number */
+        added = (added & ~NECC_REJECTED) | NECC_OUTSIDE;
+    flags = added | necc_step(state, self->x, u, (necc_real)0);
 #endif
     return flags;
 }
@@ -183,26 +210,36 @@ FUNCTION(fmi2Status, fmi2GetReal, fmi2Component c, const fmi2ValueReference vr[]
     size_t i;
     for (i = 0; i < n; ++i) {
         const fmi2ValueReference r = vr[i];
-        if (r < NECC_NX)
+        if (r < NECC_NX) {
             value[i] = (double)self->x[r];
-        else if (r < NECC_NX + NECC_NU)
+        } else if (r < NECC_NX + NECC_NU) {
             value[i] = (double)u[r - NECC_NX];
-        else if (r < NECC_NX + NECC_NU + NECC_NXI)
+        } else if (r < NECC_NX + NECC_NU + NECC_NXI) {
             value[i] = (double)now.xi[r - NECC_NX - NECC_NU];
+        }
 #if NECC_HAS_INTEGRAL
-        else if (r < NECC_NX + 2 * NECC_NU + NECC_NXI)
-            value[i] = (double)now.zeta[r - NECC_NX - NECC_NU - NECC_NXI];
+        else if (r < MARGIN) {
+            value[i] = (double)now.zeta[r - ZETA];
+        }
 #endif
 #if NECC_HAS_MARGIN
-        else if (r == NECC_NX + NECC_NU + NECC_NXI)
-            value[i] = (double)necc_margin(self->x, now.xi);
+        else if (r == MARGIN) {
+            value[i] = (double)necc_margin(&now, self->x);
+        }
 #endif
 #if NECC_HAS_TARGET
-        else if (r >= TARGETS && r < TARGETS + NECC_NR)
+        else if (r >= TARGETS && r < TARGETS + NECC_NR) {
             value[i] = (double)self->target[r - TARGETS];
+        }
 #endif
-        else
+#if NECC_HAS_PARAMETER
+        else if (r >= PARAMETERS && r < PARAMETERS + NECC_NTHETA) {
+            value[i] = (double)self->parameters[r - PARAMETERS];
+        }
+#endif
+        else {
             return fmi2Error;
+        }
     }
     return fmi2OK;
 }
@@ -219,8 +256,15 @@ FUNCTION(fmi2Status, fmi2SetReal, fmi2Component c, const fmi2ValueReference vr[]
             continue;
         }
 #endif
-        if (vr[i] >= NECC_NX)
+#if NECC_HAS_PARAMETER
+        if (vr[i] >= PARAMETERS && vr[i] < PARAMETERS + NECC_NTHETA) {
+            self->parameters[vr[i] - PARAMETERS] = (necc_real)value[i];
+            continue;
+        }
+#endif
+        if (vr[i] >= NECC_NX) {
             return fmi2Error;
+        }
         self->x[vr[i]] = (necc_real)value[i];
     }
     return fmi2OK;
@@ -231,9 +275,23 @@ FUNCTION(fmi2Status, fmi2GetInteger, fmi2Component c, const fmi2ValueReference v
 {
     size_t i;
     for (i = 0; i < n; ++i) {
-        if (vr[i] != 0)
+        if (vr[i] > 1) {
             return fmi2Error;
-        value[i] = ((const instance *)c)->flags;
+        }
+        value[i] = vr[i] == 0 ? ((const instance *)c)->flags : ((const instance *)c)->how;
+    }
+    return fmi2OK;
+}
+
+FUNCTION(fmi2Status, fmi2SetInteger, fmi2Component c, const fmi2ValueReference vr[], size_t n,
+         const fmi2Integer value[])
+{
+    size_t i;
+    for (i = 0; i < n; ++i) {
+        if (vr[i] != 1) {
+            return fmi2Error;
+        }
+        ((instance *)c)->how = value[i];
     }
     return fmi2OK;
 }
@@ -243,8 +301,9 @@ FUNCTION(fmi2Status, fmi2GetBoolean, fmi2Component c, const fmi2ValueReference v
 {
     size_t i;
     for (i = 0; i < n; ++i) {
-        if (vr[i] != 0)
+        if (vr[i] != 0) {
             return fmi2Error;
+        }
         value[i] = ((const instance *)c)->start_at_minimum;
     }
     return fmi2OK;
@@ -255,8 +314,9 @@ FUNCTION(fmi2Status, fmi2SetBoolean, fmi2Component c, const fmi2ValueReference v
 {
     size_t i;
     for (i = 0; i < n; ++i) {
-        if (vr[i] != 0)
+        if (vr[i] != 0) {
             return fmi2Error;
+        }
         ((instance *)c)->start_at_minimum = value[i] != 0;
     }
     return fmi2OK;
@@ -271,15 +331,16 @@ FUNCTION(fmi2Status, fmi2SetBoolean, fmi2Component c, const fmi2ValueReference v
     }
 NOTHING(fmi2GetString, fmi2String)
 NOTHING(fmi2SetString, const fmi2String)
-NOTHING(fmi2SetInteger, const fmi2Integer)
 
 FUNCTION(fmi2Status, fmi2GetFMUstate, fmi2Component c, void **saved)
 {
     const instance *self = c;
-    if (*saved == NULL)
+    if (*saved == NULL) {
         *saved = self->allocate(1, sizeof *self);
-    if (*saved == NULL)
+    }
+    if (*saved == NULL) {
         return fmi2Error;
+    }
     memcpy(*saved, self, sizeof *self);
     return fmi2OK;
 }
@@ -292,8 +353,9 @@ FUNCTION(fmi2Status, fmi2SetFMUstate, fmi2Component c, void *saved)
 
 FUNCTION(fmi2Status, fmi2FreeFMUstate, fmi2Component c, void **saved)
 {
-    if (*saved != NULL)
+    if (*saved != NULL) {
         ((instance *)c)->release(*saved);
+    }
     *saved = NULL;
     return fmi2OK;
 }

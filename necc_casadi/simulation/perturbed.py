@@ -1,7 +1,7 @@
 """A finished controller on a plant whose parameters are other ones.
 
 The controller is the exported one, u within the limits of the model; the plant is that of the model
-with parameters θ as inputs, so that one integrator serves every plant.
+with parameters θ and constant disturbances of u as inputs: one integrator serves every plant.
 """
 
 from __future__ import annotations
@@ -17,11 +17,12 @@ from necc_casadi.designs.design import Design
 from necc_casadi.interrupts import interruptible
 from necc_casadi.lyapunov.sympy2casadi import casadi_function
 from necc_casadi.model.parametric import Parametric
+from necc_casadi.model.plant import Plant
 from necc_casadi.simulation.responses import SETTLED, default_horizon
 from necc_casadi.symbolic.derivatives import gradient
 from necc_casadi.symbolic.floats import to_float
 
-__all__ = ["OtherPlants", "Outcome"]
+__all__ = ["OtherPlants", "Outcome", "disturbance_names"]
 
 
 #: A response is followed for so many default horizons, with so many outputs.
@@ -54,13 +55,22 @@ class Outcome:
         return float(np.isfinite(self.settling_times).mean())
 
 
+def disturbance_names(plant: Plant) -> list[str]:
+    """Names of constant disturbances of the inputs."""
+    return [f"d_{name}" for name in plant.input_names]
+
+
 class OtherPlants:
     """The loop of a design as a function of the plant's parameters."""
 
     def __init__(self, design: Design, plant: Parametric) -> None:
         self.design, natural = design, design.natural
-        self.names = [str(symbol) for symbol in plant.symbols]
-        self.nominal = np.array([to_float(plant.values[name]) for name in self.names])
+        own = [str(symbol) for symbol in plant.symbols]
+        pushes = disturbance_names(design.loop.plant)
+        self.names = [*own, *(name for name in pushes if name not in own)]
+        values = [to_float(plant.values[name]) for name in own]
+        self.nominal = np.array([*values, *[0.0] * (len(self.names) - len(own))])
+        self._pushed = len(self.names) - len(own) == len(pushes)
         self._natural = natural
         self._integrators = np.zeros(0 if design.integral is None else design.loop.plant.m)
         self._size = len(natural.z_star) + len(self._integrators)
@@ -78,14 +88,16 @@ class OtherPlants:
         structure = casadi_function("structure", known, plant.J - plant.R)
         ports = casadi_function("ports", known, plant.G)
         n, z = own.n, ca.MX.sym("z", self._size)
-        theta = ca.MX.sym("theta", len(plant.symbols))
+        theta, count = ca.MX.sym("theta", len(self.names)), len(plant.symbols)
         asked, s_dot = self._natural.controller.call([z[:n], z[n:]])
         u = asked
         if self._natural.loop.plant.u_limits is not None:
             low, high = np.array(self._natural.loop.plant.u_limits, float).T
             u = ca.fmin(ca.fmax(asked, ca.DM(low)), ca.DM(high))
-        state, at = ca.DM(units.state[:n]), ca.vertcat(z[:n] * ca.DM(units.state[:n]), theta)
-        x_dot = structure(at) @ slopes(at) + ports(at) @ (u * ca.DM(units.input))
+        state = ca.DM(units.state[:n])
+        at = ca.vertcat(z[:n] * state, theta[:count, 0])
+        pushed = theta[count:, 0] if self._pushed else 0
+        x_dot = structure(at) @ slopes(at) + ports(at) @ (u * ca.DM(units.input) + pushed)
         slope = ca.vertcat(x_dot * units.time / state, s_dot)
         return ca.Function("other", [z, theta], [slope, u], ["z", "theta"], ["z_dot", "u"])
 
@@ -141,6 +153,22 @@ class OtherPlants:
             if rest is not None and len(z) == len(self.grid):
                 times[index] = self._settled(z, rest)
         return Outcome(None if rest is None else self._offset(rest), times, peak)
+
+    def error_from(self, theta: Vector, x0: Vector) -> Vector:
+        """X less x* at the times of the grid, (times, n), from a plant state (n,), in its units.
+
+        Of the first time alone where the integrator gives up.
+        """
+        units, n = self.design.units, self.design.loop.plant.n
+        kept = self.design.lyapunov.stored(x0, self.design.xi_at_state(x0))
+        start = np.concatenate([np.asarray(x0, float), kept]) / units.state
+        z = self._response(np.concatenate([start, self._integrators]), theta)
+        return np.asarray((z[:, :n] - self._natural.z_star[:n]) * units.state[:n], float)
+
+    def rest_error(self, theta: Vector) -> Vector | None:
+        """X at rest less x*, (n,), in its units; None: it does not stay at rest nearby."""
+        rest = self.at_rest(theta)
+        return None if rest is None else self._offset(rest)
 
     def _offset(self, rest: Vector) -> Vector:
         """X at rest less x*, without what is rounding, in the units of the model."""
