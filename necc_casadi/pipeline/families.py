@@ -88,6 +88,6 @@ def with_family(
         because = f"proved on {100 * share:.3g} % of the ranges; the claim names what is left out"
     everywhere = prove_everywhere(lifted)
     certificate = certificate.having(claim, everywhere)
-    if everywhere.data.get("follows") != "converges" or made.loop.plant.domain:
+    if everywhere.holds and made.loop.plant.domain:
         certificate = certificate.having(prove_members(lifted, claim))
     return certificate, lifted, because
