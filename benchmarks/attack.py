@@ -32,15 +32,21 @@ CHECKPOINTS = 60
 #: Further horizons for those that are not near the target.
 LONGER = 20
 LOOP = """
+#define _GNU_SOURCE
+#include <math.h>
 #include <string.h>
 #include "necc.h"
 #define N (NECC_NX + NECC_NXI)
 static void plant(const double *x, const double *u, double *xdot) {
 @plant@
 }
+static void measured(const double *x, double *y) {
+@measured@
+}
 static void field(const double *z, double *slope) {
-    double u[NECC_NU];
-    necc_control(z, z + NECC_NX, u, slope + NECC_NX);
+    double u[NECC_NU], y[NECC_NX];
+    measured(z, y);
+    necc_control(y, z + NECC_NX, u, slope + NECC_NX);
 @clip@
     plant(z, u, slope);
 }
@@ -72,6 +78,10 @@ def compiled(model: Model, made: Design, folder: Path, clipped: bool) -> ctypes.
     names = {s: sp.Symbol(f"x[{i}]") for i, s in enumerate(plant.x)}
     names |= {v: sp.Symbol(f"u[{k}]") for k, v in enumerate(u)}
     lines = [f"    xdot[{i}] = {sp.ccode(e.xreplace(names))};" for i, e in enumerate(slope)]
+    seen = list(plant.x)  # or (q, q̇), where the controller takes velocities
+    if made.measurement.of_velocities:
+        seen[len(seen) // 2 :] = plant.drift[: len(seen) // 2]
+    shown = [f"    y[{i}] = {sp.ccode(e.xreplace(names))};" for i, e in enumerate(seen)]
     limits = plant.u_limits if clipped and plant.u_limits is not None else ()
     clip = [
         f"    if (u[{k}] < {float(lo)!r}) u[{k}] = {float(lo)!r};\n"
@@ -80,7 +90,10 @@ def compiled(model: Model, made: Design, folder: Path, clipped: bool) -> ctypes.
     ]
     export_c(made, folder)
     text = LOOP.replace("@plant@", "\n".join(lines)).replace("@clip@", "\n".join(clip))
-    (folder / "loop.c").write_text("#include <math.h>\n" + text, encoding="utf-8")
+    text = text.replace("@measured@", "\n".join(shown))
+    (folder / "loop.c").write_text(
+        "#define _GNU_SOURCE\n#include <math.h>\n" + text, encoding="utf-8"
+    )
     library = folder / "loop.so"
     command = ["gcc", "-O3", "-shared", "-fPIC", "-std=c99", "-o", library, "loop.c", "necc.c"]
     subprocess.run([*command, "-lm"], cwd=folder, check=True)
@@ -139,7 +152,13 @@ def attacked(name: str, count: int) -> list[str]:
     if method is None:
         return [name, "refused", *["–"] * 6]
     choice = choose(method.loop, method.casimirs, method.verdict, x)
-    made, certificate = choice.design, choice.certificate
+    return row_of(name, model, choice.design, choice.certificate, count)
+
+
+def row_of(
+    name: str, model: Model, made: Design, certificate: Certificate, count: int
+) -> list[str]:
+    """One row of the table, of a design that is there."""
     follows = [
         c.data.get("follows")
         for c in certificate.claims

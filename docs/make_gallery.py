@@ -1,14 +1,18 @@
 """Write docs/gallery.md from the examples, and the pictures of it and of the README.
 
-    python docs/make_gallery.py
+    python docs/make_gallery.py [NAME …]
 
-Everything on the page comes from a run of the tool; nothing is typed in.
+Everything on the page comes from a run of the tool; nothing is typed in. With names of examples
+only these are run, and what the page says of the others stays; `readme` runs the README's plants.
 """
 
 from __future__ import annotations
 
+import re
 import shutil
+import sys
 import tempfile
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -32,6 +36,7 @@ from necc_casadi.synthesis.options import Options
 from necc_casadi.verdict.verdict import Verdict
 
 DOCS = Path(__file__).parent
+PAGE = DOCS / "gallery.md"
 IMAGES = DOCS / "images"
 EXAMPLES = DOCS.parent / "examples"
 #: Targets besides the model file's own.
@@ -90,19 +95,51 @@ class Run:
         return f"{self.path.stem}-{self.number}"
 
 
-def main() -> None:
-    """Run every example at every target and write the page with its figures."""
-    runs = {path: runs_of(path) for path in sorted(EXAMPLES.glob("*.py"))}
-    table = [HEADER, *[row(run) for some in runs.values() for run in some]]
-    sections = [section(path, some) for path, some in runs.items()]
-    text = "\n".join([INTRO, *table, "", *sections])
-    (DOCS / "gallery.md").write_text(text, encoding="utf-8")
-    readme_pictures()
+@dataclass(frozen=True)
+class Entry:
+    """What the page says of one plant."""
+
+    rows: tuple[str, ...]  # of the table
+    section: str
+
+
+def main(names: Sequence[str]) -> None:
+    """Run the examples of these names, or all, at every target and write the page with figures."""
+    entries = written_entries() if names else {}
+    for path in sorted(EXAMPLES.glob("*.py")):
+        if not names or path.stem in names:
+            runs = runs_of(path)
+            title = runs[0].found.system.name
+            entries[title] = Entry(tuple(map(row, runs)), section(path, runs))
+            write_page(entries)
+    if not names or "readme" in names:
+        readme_pictures()
     pages = (*DOCS.glob("*.md"), DOCS.parent / "README.md")
     shown = "".join(page.read_text(encoding="utf-8") for page in pages)
     for picture in IMAGES.glob("*.png"):
         if f"images/{picture.name})" not in shown:
             picture.unlink()
+
+
+def write_page(entries: Mapping[str, Entry]) -> None:
+    """The page, in the order of the model files, as far as it has come."""
+    titles = [load_model(path).system.name for path in sorted(EXAMPLES.glob("*.py"))]
+    shown = [entries[title] for title in titles if title in entries]
+    rows = [line for entry in shown for line in entry.rows]
+    text = "\n".join([INTRO, HEADER, *rows, "", *(entry.section for entry in shown)])
+    PAGE.write_text(text, encoding="utf-8")
+
+
+def written_entries() -> dict[str, Entry]:
+    """What the page says now, by title."""
+    text = PAGE.read_text(encoding="utf-8")
+    sections = {part.split("\n", 1)[0]: "## " + part for part in text.split("\n## ")[1:]}
+    rows: dict[str, list[str]] = {}
+    for line in text.splitlines():
+        named = re.match(r"\| \[(.*?)\]\(#", line)
+        if named:
+            rows.setdefault(named[1], []).append(line)
+    return {title: Entry(tuple(rows.get(title, ())), part) for title, part in sections.items()}
 
 
 def runs_of(path: Path) -> list[Run]:
@@ -288,4 +325,4 @@ def readme_pictures() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    main(sys.argv[1:])

@@ -10,12 +10,18 @@ Try: necc-design ball_and_beam.py --target 0
 import sympy as sp
 
 r, theta, p_r, p_theta = sp.symbols("r theta p_r p_theta", real=True)
-ball, radius, g = sp.Rational("0.05"), sp.Rational("0.01"), sp.Rational("9.81")
-spin, beam = sp.Rational("2e-6"), sp.Rational("0.02")  # kg m², of ball and beam
+ball, radius, spin, beam = sp.symbols("ball radius I_ball I_beam", positive=True)
+g = sp.Rational("9.81")
 
 rolling = ball + spin / radius**2
 turning = beam + spin + ball * r**2
 name = "Ball and beam"
+params = {
+    ball: sp.Rational("0.05"),  # kg
+    radius: sp.Rational("0.01"),  # m
+    spin: sp.Rational("2e-6"),  # kg m²
+    beam: sp.Rational("0.02"),
+}
 x = (r, theta, p_r, p_theta)
 J = sp.Matrix([[0, 0, 1, 0], [0, 0, 0, 1], [-1, 0, 0, 0], [0, -1, 0, 0]])
 R = sp.zeros(4, 4)

@@ -8,16 +8,22 @@ Try: necc-design boost.py
 import sympy as sp
 
 phi, q, d = sp.symbols("phi q d", real=True)  # flux, charge, duty ratio
-coil, capacitor, load, supply = sp.Rational("100e-6"), sp.Rational("220e-6"), 10, 12
+coil, capacitor, load, supply = sp.symbols("coil capacitor load supply", positive=True)
 
 name = "Boost converter"
+params = {
+    coil: sp.Rational("100e-6"),  # H
+    capacitor: sp.Rational("220e-6"),  # F
+    load: 10,  # Ω
+    supply: 12,  # V
+}
 x, u = (phi, q), (d,)
 J = sp.Matrix([[0, d - 1], [1 - d, 0]])
-R = sp.diag(0, sp.Rational(1, load))
+R = sp.diag(0, 1 / load)
 E = sp.Matrix([supply, 0])
 H = phi**2 / (2 * coil) + q**2 / (2 * capacitor)
 
 units = {phi: "Wb", q: "C"}
 volts = 24
-target = {phi: coil * sp.Rational(volts**2, load * supply), q: capacitor * volts}
+target = {phi: coil * volts**2 / (load * supply), q: capacitor * volts}
 u_limits = [(0, 1)]

@@ -10,12 +10,13 @@ Try: necc-design cart_pole.py --target x=1,theta=pi
 import sympy as sp
 
 s, theta, p_s, p_theta = sp.symbols("x theta p_x p_theta", real=True)
-m_cart, m_pole, length, g = 1, sp.Rational(1, 2), 1, sp.Rational("9.81")
+m_cart, m_pole, length, g = sp.symbols("m_cart m_pole length g", positive=True)
 
 M11, M12, M22 = m_cart + m_pole, m_pole * length * sp.cos(theta), m_pole * length**2
 det = m_pole * length**2 * (m_cart + m_pole * sp.sin(theta) ** 2)  # M11 M22 − M12²
 
 name = "Cart-pole"
+params = {m_cart: 1, m_pole: sp.Rational(1, 2), length: 1, g: sp.Rational("9.81")}
 x = (s, theta, p_s, p_theta)
 J = sp.Matrix([[0, 0, 1, 0], [0, 0, 0, 1], [-1, 0, 0, 0], [0, -1, 0, 0]])
 R = sp.zeros(4, 4)

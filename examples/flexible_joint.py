@@ -2,18 +2,25 @@
 
 Source: Spong, Modeling and Control of Elastic Joint Robots, Journal of Dynamic Systems,
 Measurement, and Control 109 (1987), with numbers typical of a small laboratory arm.
-Try: necc-design flexible_joint.py --target 0
+Try: necc-design flexible_joint.py --target q=0
 """
 
 import sympy as sp
 
 q, theta, p_q, p_t = sp.symbols("q theta p_q p_theta", real=True)  # link, motor; from upright
-mass, reach, g = sp.Rational("0.4"), sp.Rational("0.3"), sp.Rational("9.81")
-link, rotor = mass * reach**2, sp.Rational("0.01")  # kg m²
-spring = sp.Rational("0.8")  # N m/rad, gravity's is 1.18
-bearing, gear = sp.Rational("0.01"), sp.Rational("0.05")  # N m s
+mass, rotor, spring = sp.symbols("mass rotor spring", positive=True)
+bearing, gear = sp.symbols("bearing gear", positive=True)
+reach, g = sp.Rational("0.3"), sp.Rational("9.81")  # m, m/s²
+link = mass * reach**2
 
 name = "Upright flexible joint"
+params = {
+    mass: sp.Rational("0.4"),  # kg
+    rotor: sp.Rational("0.01"),  # kg m²
+    spring: sp.Rational("0.8"),  # N m/rad, gravity's is 1.18
+    bearing: sp.Rational("0.01"),  # N m s
+    gear: sp.Rational("0.05"),
+}
 x = (q, theta, p_q, p_t)
 J = sp.Matrix([[0, 0, 1, 0], [0, 0, 0, 1], [-1, 0, 0, 0], [0, -1, 0, 0]])
 R = sp.diag(0, 0, bearing, gear)

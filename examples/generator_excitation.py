@@ -13,14 +13,21 @@ import sympy as sp
 delta, omega, E_q = sp.symbols("delta omega E_q", real=True)  # angle, slip, transient voltage
 base = 120 * sp.Rational("3.14159")  # rad/s
 inertia, friction = 7 / base, 10 / base
-X, X_t, decay = sp.Rational("2.46"), sp.Rational("0.95"), 8  # with the line; s
-grid, power = sp.Rational("0.995"), sp.Rational("0.9")
+X, X_t, decay = sp.symbols("X X_t decay", positive=True)  # with the line
+grid, power = sp.symbols("grid power", positive=True)
 
 name = "Generator with excitation"
+params = {
+    X: sp.Rational("2.46"),  # p.u.
+    X_t: sp.Rational("0.95"),
+    decay: 8,  # s
+    grid: sp.Rational("0.995"),
+    power: sp.Rational("0.9"),
+}
 x = (delta, omega, E_q)
 J = sp.Matrix([[0, 1 / inertia, 0], [-1 / inertia, 0, 0], [0, 0, 0]])
 R = sp.diag(0, friction / inertia**2, (X - X_t) / decay)
-G = sp.Matrix([0, 0, sp.Rational(1, decay)])
+G = sp.Matrix([0, 0, 1 / decay])
 H = inertia * omega**2 / 2 - power * delta - grid * E_q * sp.cos(delta) / X_t
 H += X * E_q**2 / (2 * X_t * (X - X_t))
 

@@ -9,13 +9,21 @@ Try: necc-design inertia_wheel.py --target 0
 import sympy as sp
 
 theta, phi, p_theta, p_phi = sp.symbols("theta phi p_theta p_phi", real=True)
-m_rod, m_wheel, g = sp.Rational("0.2164"), sp.Rational("0.085"), sp.Rational("9.81")
-l_rod, l_wheel = sp.Rational("0.1173"), sp.Rational("0.127")  # m, from the pivot
-body = sp.Rational("2.233e-4") + m_rod * l_rod**2 + m_wheel * l_wheel**2  # kg m²
-wheel = sp.Rational("2.495e-5")  # kg m²
+m_rod, m_wheel, l_rod, l_wheel = sp.symbols("m_rod m_wheel l_rod l_wheel", positive=True)
+rod, wheel = sp.symbols("I_rod I_wheel", positive=True)
+g = sp.Rational("9.81")
+body = rod + m_rod * l_rod**2 + m_wheel * l_wheel**2
 moment = (m_rod * l_rod + m_wheel * l_wheel) * g  # N m
 
 name = "Inertia wheel pendulum"
+params = {
+    m_rod: sp.Rational("0.2164"),  # kg
+    m_wheel: sp.Rational("0.085"),
+    l_rod: sp.Rational("0.1173"),  # m, from the pivot
+    l_wheel: sp.Rational("0.127"),
+    rod: sp.Rational("2.233e-4"),  # kg m²
+    wheel: sp.Rational("2.495e-5"),
+}
 x = (theta, phi, p_theta, p_phi)
 J = sp.Matrix([[0, 0, 1, 0], [0, 0, 0, 1], [-1, 0, 0, 0], [0, -1, 0, 0]])
 R = sp.zeros(4, 4)

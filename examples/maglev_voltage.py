@@ -11,12 +11,18 @@ Try: necc-design maglev_voltage.py --target q=0.006
 import sympy as sp
 
 flux, q, p = sp.symbols("phi q p", real=True)  # linked flux, air gap (downwards), momentum
-mass, g, resistance = sp.Rational("0.068"), sp.Rational("9.81"), 4
-turns, face, iron = 500, sp.Rational("4e-4"), sp.Rational("1e-4")  # m², m of gap
+mass, resistance, face, iron = sp.symbols("mass resistance face iron", positive=True)
+turns, g = 500, sp.Rational("9.81")
 k = sp.Rational("1.2566e-6") * turns**2 * face / 2  # H m
 inductance = k / (q + iron)
 
 name = "Voltage-fed magnetic levitation"
+params = {
+    mass: sp.Rational("0.068"),  # kg
+    resistance: 4,  # Ω
+    face: sp.Rational("4e-4"),  # m²
+    iron: sp.Rational("1e-4"),  # m of gap
+}
 x = (flux, q, p)
 J = sp.Matrix([[0, 0, 0], [0, 0, 1], [0, -1, 0]])
 R = sp.diag(resistance, 0, 0)

@@ -9,16 +9,24 @@ Try: necc-design mems_switch.py --target q=0.5e-6
 import sympy as sp
 
 q, p, charge = sp.symbols("q p Q", real=True)  # gap, momentum, charge
-mass, stiffness, film = sp.Rational("5e-11"), 1, sp.Rational("4e-6")  # kg, N/m, N s/m
-rest, plate = sp.Rational("2e-6"), sp.Rational("1e-8")  # m, m²
-permittivity, source = sp.Rational("8.854e-12"), 10000000  # F/m, Ω
+mass, stiffness, film, source = sp.symbols("mass stiffness film source", positive=True)
+plate, gap = sp.symbols("plate gap", positive=True)  # area, gap at rest
+rest, permittivity = sp.Rational("2e-6"), sp.Rational("8.854e-12")  # m as designed, F/m
 
 name = "MEMS switch"
+params = {
+    mass: sp.Rational("5e-11"),  # kg
+    stiffness: 1,  # N/m
+    film: sp.Rational("4e-6"),  # N s/m
+    source: 10000000,  # Ω
+    plate: sp.Rational("1e-8"),  # m²
+    gap: rest,
+}
 x = (q, p, charge)
 J = sp.Matrix([[0, 1, 0], [-1, 0, 0], [0, 0, 0]])
-R = sp.diag(0, film, 1 / sp.Rational(source))
-G = sp.Matrix([0, 0, 1 / sp.Rational(source)])
-H = p**2 / (2 * mass) + stiffness * (q - rest) ** 2 / 2
+R = sp.diag(0, film, 1 / source)
+G = sp.Matrix([0, 0, 1 / source])
+H = p**2 / (2 * mass) + stiffness * (q - gap) ** 2 / 2
 H += charge**2 * q / (2 * permittivity * plate)
 
 units = {q: "m", p: "kg m/s", charge: "C"}

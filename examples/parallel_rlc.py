@@ -10,13 +10,15 @@ Try: necc-design parallel_rlc.py --target q=1 --check
 import sympy as sp
 
 q, phi = sp.symbols("q phi", real=True)  # charge of the capacitor, flux of the coil
+r, C, L = sp.symbols("r C L", positive=True)
 
 name = "Parallel RLC"
+params = {r: 2, C: 1, L: 1}  # Ω, F, H
 x = (q, phi)
 J = sp.Matrix([[0, 1], [-1, 0]])
-R = sp.diag(sp.Rational(1, 2), 0)
+R = sp.diag(1 / r, 0)
 G = sp.Matrix([0, 1])
-H = q**2 / 2 + phi**2 / 2
+H = q**2 / (2 * C) + phi**2 / (2 * L)
 
 units = {q: "C", phi: "Wb"}
 target = {q: 1, phi: sp.Rational(1, 2)}

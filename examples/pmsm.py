@@ -10,11 +10,19 @@ Try: necc-design pmsm.py
 import sympy as sp
 
 psi_d, psi_q, p = sp.symbols("psi_d psi_q p", real=True)  # fluxes of the coils, angular momentum
-resistance, coil = sp.Rational("2.875"), sp.Rational("8.5e-3")  # Ω, H
-magnet, pairs = sp.Rational("0.175"), 4  # Wb, pole pairs
-inertia, friction, load = sp.Rational("8e-4"), sp.Rational("1e-3"), 1  # kg m², N m s, N m
+resistance, coil, magnet = sp.symbols("resistance coil magnet", positive=True)
+inertia, friction, load = sp.symbols("inertia friction load", positive=True)
+pairs = 4
 
 name = "PM synchronous motor"
+params = {
+    resistance: sp.Rational("2.875"),  # Ω
+    coil: sp.Rational("8.5e-3"),  # H
+    magnet: sp.Rational("0.175"),  # Wb
+    inertia: sp.Rational("8e-4"),  # kg m²
+    friction: sp.Rational("1e-3"),  # N m s
+    load: 1,  # N m
+}
 x = (psi_d, psi_q, p)
 J = pairs * sp.Matrix([[0, 0, psi_q], [0, 0, -psi_d - magnet], [-psi_q, psi_d + magnet, 0]])
 R = sp.diag(resistance, resistance, friction)

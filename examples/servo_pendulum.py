@@ -10,14 +10,21 @@ Try: necc-design servo_pendulum.py --target theta=pi/3
 import sympy as sp
 
 phi, theta, p = sp.symbols("phi theta p", real=True)  # flux, angle from hanging, angular momentum
-resistance, coil = sp.Rational("8.4"), sp.Rational("1.16e-3")  # Ω, H
-k = sp.Rational("0.042")  # N m/A
-mass, length, g = sp.Rational("0.024"), sp.Rational("0.129"), sp.Rational("9.81")
+resistance, coil, k = sp.symbols("resistance coil k", positive=True)
+mass, length, friction = sp.symbols("mass length friction", positive=True)
+g = sp.Rational("9.81")
 inertia = sp.Rational("4.6e-6") + mass * length**2 / 3  # kg m², rotor with hub, and rod
 moment = mass * g * length / 2  # N m
-friction = sp.Rational("2e-5")  # N m s, of the bearings
 
 name = "Servo with pendulum load"
+params = {
+    resistance: sp.Rational("8.4"),  # Ω
+    coil: sp.Rational("1.16e-3"),  # H
+    k: sp.Rational("0.042"),  # N m/A
+    mass: sp.Rational("0.024"),  # kg
+    length: sp.Rational("0.129"),  # m
+    friction: sp.Rational("2e-5"),  # N m s, of the bearings
+}
 x = (phi, theta, p)
 J = sp.Matrix([[0, 0, -k], [0, 0, 1], [k, -1, 0]])
 R = sp.diag(resistance, 0, friction)

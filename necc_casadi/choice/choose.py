@@ -43,7 +43,7 @@ from necc_casadi.synthesis.plan import make_plan, whole_space_stiffness
 from necc_casadi.synthesis.synthesis import answered
 from necc_casadi.verdict.verdict import Verdict
 
-__all__ = ["Choice", "choose"]
+__all__ = ["Choice", "choose", "default_trial", "may_hold_everywhere"]
 
 
 #: A whole-space design that costs no more than this multiple of LQR's cost leaves too little to win
@@ -154,6 +154,31 @@ def choose(
         with maker.stage("choice", kept.name, "other minima of V"):
             lower = lower_minimum(kept.design)
     return Choice(kept, others, passed, lower, dict(maker.seconds))
+
+
+def may_hold_everywhere(
+    loop: ClosedLoop,
+    casimirs: Casimirs,
+    verdict: Verdict,
+    x_star: Mapping[sp.Symbol, sp.Expr],
+    options: Options,
+) -> bool:
+    """Whether some V of this loop has one critical point; parameters are those of `choose`."""
+    plan = make_plan(loop, casimirs, verdict, x_star, options)
+    return whole_space_stiffness(plan) is not None
+
+
+def default_trial(
+    loop: ClosedLoop,
+    casimirs: Casimirs,
+    verdict: Verdict,
+    x_star: Mapping[sp.Symbol, sp.Expr],
+    options: Options,
+    say: _Say,
+) -> tuple[Trial, Mapping[str, float]]:
+    """The default alone, nothing proved of it, with the seconds that it took, by stage."""
+    maker = _Maker(loop, casimirs, verdict, x_star, replace(options, polish=False), say)
+    return maker.made("default", maker.options), maker.seconds
 
 
 _Chosen = tuple[Judged, tuple[Judged, ...], tuple[Passed, ...]]

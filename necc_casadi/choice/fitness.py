@@ -70,14 +70,26 @@ def _gone(kept: Judged, strayed: Sequence[int], what: str) -> str:
     count, number = len(kept.response.arrived), len(set(strayed))
     at_rest = [(e, len(set(e.starts) & set(strayed))) for e in kept.response.elsewhere]
     at_rest = sorted((pair for pair in at_rest if pair[1]), key=lambda pair: -pair[1])
-    away = number - sum(starts for _, starts in at_rest)
+    astray = set(strayed) - {i for e, _ in at_rest for i in e.starts}
+    undefined = sum(not _is_defined(kept, i) for i in sorted(astray))
+    away = len(astray) - undefined
     head = f"{number} of {count} {what} {'do' if number > 1 else 'does'} not arrive"
     parts = []
     if at_rest:
         parts.append(_resting(at_rest, kept.design))
     if away:
         parts.append(f"{away} run away" if away > 1 else "1 runs away")
+    if undefined:
+        parts.append(f"{undefined} start{'' if undefined > 1 else 's'} where the law is undefined")
     return f"{head}: {' and '.join(parts)}"
+
+
+def _is_defined(kept: Judged, index: int) -> bool:
+    """Whether the law has a value at a start."""
+    start = kept.response.starts[index]
+    with np.errstate(all="ignore"):
+        u, _ = kept.design.lyapunov.control_law(start, kept.design.xi_at_state(start))
+    return bool(np.isfinite(u).all())
 
 
 def _resting(places: Sequence[tuple[Elsewhere, int]], design: Design) -> str:

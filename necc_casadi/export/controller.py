@@ -13,13 +13,17 @@ import casadi as ca
 
 from necc_casadi.designs.integral import integral_rate
 from necc_casadi.export.casadi2c import c_function
-from necc_casadi.export.margin import margin_code, margin_of_region, margin_takes_momenta
-from necc_casadi.export.networks import LANES, CNetwork, c_network, kernels, width
+from necc_casadi.export.margin import (
+    margin_code,
+    margin_of_region,
+    margin_takes_momenta,
+)
+from necc_casadi.export.networks import CNetwork, c_network, kernels, loop_sizes
 from necc_casadi.export.source import Source
 from necc_casadi.export.targets import target_code
 from necc_casadi.export.templating import fill, indent
 
-__all__ = ["controller"]
+__all__ = ["c_networks", "controller"]
 
 
 #: Body of ``necc_start`` where ξ does not start along with x(0).
@@ -31,14 +35,13 @@ _START = {
 
 def controller(source: Source) -> str:
     """The text of ``necc.c``."""
-    networks, real = _networks(source), source.number
+    networks, real = c_networks(source), source.number
     saturation = _saturation(source)
     text = fill(
         "necc.c",
         design_hash=source.design.hash,
         guard=f"NECC_DESIGN_{source.design.hash[:16]}",
-        lanes=LANES[source.real],
-        width=width(networks, LANES[source.real]),
+        sizes=loop_sizes(networks),
         literal="literal##f" if real.suffix else "literal",
         weights="\n".join(network.tables(real) for network in networks),
         kernels=kernels(networks, real),
@@ -64,27 +67,26 @@ def _integral(source: Source) -> dict[str, str]:
     """What integral action adds: its code, and ζ before, in and after a sample."""
     design, real = source.design, source.number
     if design.integral is None:
-        return dict.fromkeys(("integral", "counter", "keep", "integrate", "subtract", "store"), "")
+        return dict.fromkeys(("integral", "counter", "integrate", "subtract"), "")
     x, q_star = ca.SX.sym("x", source.n), design.z_star[: source.n // 2]
     rate = integral_rate(design.lyapunov, design.integral, q_star, measured=True)
     leaf = c_function("integral_rate", [("x", x)], [("rate", rate(x))], real)
     code = fill("integral.c", leaf=leaf, limit=real.literals(design.integral.limit))
     return {
         "integral": code,
-        "counter": "\n    necc_real zeta[NECC_NU];\n    int i;",
-        "keep": "\n    memcpy(zeta, state->zeta, sizeof zeta);",
-        "integrate": "\n        integrate(state->x, dt, zeta);",
-        "subtract": "\n    for (i = 0; i < NECC_NU; ++i)\n        v[i] -= zeta[i];",
-        "store": "\n    memcpy(state->zeta, zeta, sizeof zeta);",
+        "counter": "\n    int i;",
+        "integrate": "integrate(next.x, dt, next.zeta, next.zeta_rest);",
+        "subtract": "\n    for (i = 0; i < NECC_NU; ++i) {\n        v[i] -= state->zeta[i];\n    }",
     }
 
 
-def _networks(source: Source) -> list[CNetwork]:
+def c_networks(source: Source) -> list[CNetwork]:
+    """The networks of the design in the layout of the code."""
     form = source.design.form
     names = ["hc", "k", *(f"beta{i + 1}" for i in range(len(form.betas)))]
     names += ["phi"] if source.neural_phi else []
     triples = zip(names, form.networks, form.split(source.design.weights), strict=True)
-    return [c_network(*t, LANES[source.real]) for t in triples]
+    return [c_network(*t) for t in triples]
 
 
 def _leaves(source: Source) -> list[str]:
@@ -118,6 +120,7 @@ def _leaves(source: Source) -> list[str]:
     if needs_state(source):
         leaves.append(c_function("model_state", arguments[:1], [("state", state)], real))
     leaves.append(c_function("control_law", arguments, [("u", u), ("xidot", s_dot)], real))
+    leaves.append(c_function("state_rate", arguments, [("xidot", s_dot)], real))
     leaves.append(c_function("energy_slope", arguments, [("gradient", V_xi)], real))
     return leaves
 
@@ -176,7 +179,7 @@ def _casimir(source: Source) -> tuple[list[str], list[str]]:
     variables, body = [f"necc_real hc_value, casimir, c[{r}];"], ["casimirs(x, xi, c);"]
     if not source.design.form.betas:
         return variables, [*body, "casimir = k_network(c, s->gamma);"]
-    terms = " + ".join(f"beta{i + 1}_network(c + {i}, s->gamma + {i})" for i in range(r))
+    terms = " + ".join(f"beta{i + 1}_network(&c[{i}], &s->gamma[{i}])" for i in range(r))
     scale = [f"s->gamma[{i}] *= slope;" for i in range(r)]
     return (
         [*variables, "necc_real sum, slope;"],

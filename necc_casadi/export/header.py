@@ -39,6 +39,10 @@ _LAWS = {
 _ZETA = "\n    necc_real zeta[NECC_NU]; /* integral action */"
 
 
+#: What rounding leaves of ζ.
+_ZETA_REST = "\n    necc_real zeta_rest[NECC_NU];"
+
+
 #: What ``necc_start`` does.
 _START = {
     "target": "as necc_init; returns NECC_OK",
@@ -79,6 +83,7 @@ def header(source: Source) -> str:
         set_target=target_declarations(source),
         has_integral=0 if design.integral is None else 1,
         zeta=_ZETA if design.integral else "",
+        zeta_rest=_ZETA_REST if design.integral else "",
         real=source.real,
         integrator_name=_METHODS[source.integrator],
         guard=f"NECC_DESIGN_{design.hash[:16]}",

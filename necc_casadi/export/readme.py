@@ -11,8 +11,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from necc_casadi.export.compiled import find_compiler
-from necc_casadi.export.controller import controller
+from necc_casadi.export.controller import c_networks, controller
+from necc_casadi.export.cortex import cross_compiled
 from necc_casadi.export.header import header
+from necc_casadi.export.operations import count_networks, count_text, least_cycles
 from necc_casadi.export.source import Source
 from necc_casadi.export.templating import fill
 from necc_casadi.texts import escaped
@@ -49,6 +51,8 @@ def readme(source: Source, *, measured: bool = True) -> str:
         real=source.real,
         float_note=float_note,
         order="; ".join(f"`{array}` = ({', '.join(of)})" for array, of in _order(source).items()),
+        counted=counted(source),
+        cross=cross_compiled(source) if measured else "",
         measured=_table(rows, compiler) if rows else "Not measured: no C compiler was at hand.",
     )
     return source.named(text)
@@ -62,6 +66,29 @@ def _order(source: Source) -> dict[str, list[str]]:
         array: [escaped(f"{name} [{units[name]}]" if name in units else name) for name in names]
         for array, names in {"x": measured.names, "u": plant.input_names}.items()
     }
+
+
+#: Plant terms that ``necc_control`` calls once.
+_TERMS = ("casimirs", "shifted", "hamiltonian", "control_law")
+
+
+def counted(source: Source) -> str:
+    """Operations of one ``necc_control``, and what they cost at least on a Cortex-M4F."""
+    code, counts = controller(source), count_networks(c_networks(source), source.real)
+    for name in _TERMS:
+        body = re.search(rf"^static void {name}\(.*?\n\{{\n(.*?)\n\}}", code, re.M | re.S)
+        if body is not None and (name != "hamiltonian" or source.neural_phi):
+            counts.update(count_text(body[1]))
+    weights = counts["weights"]
+    listed = ", ".join(f"{n} {name}" for name, n in sorted(counts.items()) if name != "weights")
+    text = f"One `necc_control` takes {listed} and reads {weights} weights: counted in the code."
+    if source.real == "double":
+        return text + " A Cortex-M4F computes `double` in software."
+    return (
+        f"{text} A Cortex-M4F needs at least {least_cycles(counts)} cycles for them (1 for each "
+        "multiplication, addition and weight, 14 for a division or a root; the C library is not "
+        "counted): a bound from below, not measured; stores, loops and flash come on top."
+    )
 
 
 def measure(source: Source, compiler: str, flags: tuple[str, ...]) -> Measurement | None:

@@ -142,16 +142,16 @@ def target_code(source: Source) -> dict[str, str]:
     star += [f"static const necc_real theta_star[NECC_NTHETA] = {{{real.literals(nominal)}}};"] * (
         len(told) > 0
     )
-    reset = "\n    memcpy(state->theta, theta_star, sizeof theta_star);" if told else ""
+    reset = "\n    (void)memcpy(state->theta, theta_star, sizeof theta_star);" if told else ""
     return {
         "seen": "\n".join([*_leaves(source, found), *star, ""]),
         "target": code,
-        "reset_target": f"\n    memcpy(state->r, r_star, sizeof r_star);{reset}",
+        "reset_target": f"\n    (void)memcpy(state->r, r_star, sizeof r_star);{reset}",
         "at": "at",
         "held": "\n    necc_real at[NECC_NX], more[NECC_NU];\n    int i;",
         "see": "seen(x, state->r, at);\n    ",
         "forward": f"\n    forward(state->r{pieces['theta_of_state']}, more);"
-        "\n    for (i = 0; i < NECC_NU; ++i)\n        v[i] += more[i];",
+        "\n    for (i = 0; i < NECC_NU; ++i) {\n        v[i] += more[i];\n    }",
     }
 
 

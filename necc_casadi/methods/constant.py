@@ -66,8 +66,9 @@ _FARTHEST = sp.Integer(2) ** 200
 #: States beyond which expressions take minutes.
 _LARGEST = 16
 
-#: Symbols, powers and functions in ∂s/∂x beyond which proofs of what is symmetric take minutes.
-_LONGEST = 1000
+#: Symbols, powers and functions in ∂s/∂x beyond which proofs of what is symmetric take minutes:
+#: about those of four links.
+_LONGEST = 10_000
 
 #: States beyond which subsets of coordinates are not tried one after another.
 _MOST_STATES = 6
@@ -224,15 +225,17 @@ def _structure(
     if conserved:
         reason = "it is not tried, because a combination of states may stay whatever the inputs do"
         return NoStructure(_FAMILY, reason, False)
+    reason = (
+        "no constant F_d was found for which f + G u₀ = F_d∇H₀ with a minimum of H₀ at the target"
+    )
     if sum(map(complexity, question.slopes)) > _LONGEST:
         reason = (
             "it is not tried, because the equations of the states without an input are too long"
         )
-        return NoStructure(_FAMILY, reason, False)
-    reason = (
-        "no constant F_d was found for which f + G u₀ = F_d∇H₀ with a minimum of H₀ at the target"
-    )
-    for proposals in _candidates(question):
+        tried: Iterator[Iterator[_Proposal]] = iter(())
+    else:
+        tried = _candidates(question)
+    for proposals in tried:
         proposal = next((p for p in proposals if question.proved(p.B)), None)
         if proposal is None:
             continue

@@ -17,7 +17,7 @@ from necc_casadi.methods.ahead import plant_with_feedback
 from necc_casadi.methods.constant import constant_structure
 from necc_casadi.methods.linear_target import Weigh, linear_target
 from necc_casadi.methods.mechanical import mechanical_structures
-from necc_casadi.methods.method import Method, Refusal
+from necc_casadi.methods.method import Method, PassedStructure, Refusal
 from necc_casadi.methods.modulated import at_its_minimum, shifted_plant
 from necc_casadi.methods.no_structure import NoStructure
 from necc_casadi.methods.shaping import power_shaping
@@ -41,7 +41,8 @@ class Found:
     published: Method | None  # the published loop, whatever its verdict; None: no such loop
     chosen: Method | None  # what holds the target
     refusals: tuple[Refusal, ...] = ()  # of the methods that do not
-    alternatives: tuple[Method, ...] = ()  # other structures of the method that was chosen
+    alternatives: tuple[Method, ...] = ()  # other structures that hold it
+    passed: tuple[PassedStructure, ...] = ()  # those of them that were compared and are not kept
     asked: bool = True  # whether the published loop is one of the methods that were asked
 
     @property
@@ -89,7 +90,7 @@ def find_method(
     say
         Called with what is done next.
     most
-        Structures of the method that holds the target, of which the best response is to be kept.
+        Structures that hold the target, of this and of later methods, one of which is to be kept.
     weigh
         What responses cost: it chooses the numbers that a structure leaves free.
     """
@@ -111,10 +112,10 @@ def find_method(
                 refusals.append(answer)
             if len(held) == most:
                 break
-        if held:
+        if len(held) == most:
             break
     chosen = held[0] if held else None
-    return Found(published, chosen, tuple(refusals), tuple(held[1:]), asked)
+    return Found(published, chosen, tuple(refusals), tuple(held[1:]), asked=asked)
 
 
 def _published(

@@ -42,7 +42,7 @@ from necc_casadi.model.matching import Matching
 from necc_casadi.model.plant import Plant, make_plant
 from necc_casadi.symbolic.derivatives import at, gradient, value_at
 from necc_casadi.symbolic.floats import float_matrix, to_float
-from necc_casadi.symbolic.quadrature import quadrature
+from necc_casadi.symbolic.quadrature import even_and_odd, quadrature
 from necc_casadi.symbolic.zero import Undecided, is_zero, sign
 
 __all__ = ["mechanical_structures"]
@@ -402,16 +402,34 @@ def _rate(question: _Question, K: sp.Matrix) -> sp.Expr:
 
 
 def _kappas(question: _Question, coupled: Sequence[int]) -> Iterator[sp.Expr]:
-    """κ < −1 for which β falls off beside the target like a whole power of a cosine, slowest first.
+    """κ < −1 for which β has a whole power of what vanishes in it, the slowest fall first.
 
     Then g⊥b = β(1 + κ) > 0 while β < 0 turns the maximum of the potential into a minimum.
     """
     kappa = sp.Dummy("kappa", real=True)
     rate = _rate(question, _direction(question, coupled, kappa))
-    power = sp.together(question.at_target(sp.diff(rate, question.q_r)))
+    powers = _powers(rate, question.q_r, kappa)
+    if not powers:  # as if β were a power of a cosine
+        powers = [-question.at_target(sp.diff(rate, question.q_r))]
     for whole in range(1, _MOST_POWER + 1):
-        roots = map(sp.radsimp, sp.solve(sp.numer(sp.together(power + whole)), kappa))
-        yield from (root for root in roots if root.is_real and sign(root + 1) == -1)
+        for power in powers:
+            roots = map(sp.radsimp, sp.solve(sp.numer(sp.together(power - whole)), kappa))
+            yield from (root for root in roots if root.is_real and sign(root + 1) == -1)
+
+
+def _powers(rate: sp.Expr, s: sp.Symbol, kappa: sp.Symbol) -> list[sp.Expr]:
+    """Exponents, as far as they depend on κ, of the factors a cos s + b in exp ∫ rate ds."""
+    parts = even_and_odd(rate, s)
+    if parts is None or parts[0] != 0:
+        return []
+    _, slope, c = parts  # rate ds = −slope dc
+    below = sp.denom(slope)
+    factors = [factor for factor, _ in sp.factor_list(below)[1] if factor.has(c)]
+    roots = [
+        -factor.subs(c, 0) / sp.diff(factor, c) for factor in factors if not sp.diff(factor, c, c)
+    ]
+    residues = [-(sp.numer(slope) / sp.diff(below, c)).subs(c, root) for root in roots]
+    return [power for r in residues if (power := sp.cancel(r)).has(kappa)]
 
 
 def _constant_off_r(question: _Question) -> _Shape | str | None:

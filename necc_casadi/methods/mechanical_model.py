@@ -75,7 +75,9 @@ class MechanicalModel:
 
     @cached_property
     def mass(self) -> sp.ImmutableMatrix:
-        """M(q)."""
+        """M(q), as the model file has it where it does."""
+        if self.plant.inertia is not None:
+            return sp.ImmutableMatrix(sp.Matrix(self.plant.inertia).applyfunc(short))
         return sp.ImmutableMatrix(sp.Matrix(self.inverse_mass).inv().applyfunc(short))
 
     @cached_property

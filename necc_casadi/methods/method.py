@@ -9,7 +9,7 @@ from necc_casadi.casimirs.casimirs import Casimirs
 from necc_casadi.model.closed_loop import ClosedLoop
 from necc_casadi.verdict.verdict import Verdict
 
-__all__ = ["Method", "Refusal"]
+__all__ = ["Method", "PassedStructure", "Refusal"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,3 +29,11 @@ class Refusal:
     name: MethodName
     reason: str  # one sentence
     proved: bool  # that it cannot; False: it was not found or not decided
+
+
+@dataclass(frozen=True)
+class PassedStructure:
+    """A structure that holds a target too, and is not kept."""
+
+    name: MethodName
+    because: str  # what it falls short of beside the one that is kept

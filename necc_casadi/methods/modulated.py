@@ -5,8 +5,8 @@ With F = J(x, u*) − R(x, u*), g = ∂ẋ/∂u and a function h of the states t
     F∇h = E + G u* + g w(x)   for some w,
 
 the plant is ẋ = F∇(H + h) + g ũ under u = u* − w(x) + ũ: a port-Hamiltonian plant whose energy has
-a critical point at the target wherever F is regular there. For a constant regular F,
-h = xᵀF⁻¹(E + G u*) with w = 0.
+a critical point at the target wherever F is regular there. For a constant F, h = −xᵀ∇H(x*)
+with w = 0, which is xᵀF⁻¹(E + G u*) where F is regular.
 
 References
 ----------
@@ -88,14 +88,13 @@ def _shifts(
     if push.is_zero_matrix:
         yield sp.Integer(0)
         return
-    if F.det() != 0:
-        slope = F.LUsolve(push).applyfunc(sp.cancel)
-        if not slope.free_symbols:
-            yield (slope.T * sp.Matrix(x))[0]
-        else:
-            h = potential(list(slope), x)
-            if h is not None:
-                yield h
+    if not F.free_symbols:
+        slope = -sp.Matrix(at(gradient(system.H, x), x_star))  # where F is regular: F⁻¹ push
+        yield (slope.applyfunc(tidy).T * sp.Matrix(x))[0]
+    elif F.det() != 0:
+        h = potential(list(F.LUsolve(push).applyfunc(sp.cancel)), x)
+        if h is not None:
+            yield h
     yield from _searched(F, push, system, x_star)
 
 

@@ -7,6 +7,8 @@ gives a family that contains all of them. A solver that finds nothing has proved
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
 
 import flint
 import numpy as np
@@ -95,12 +97,25 @@ def _family(slopes: sp.Matrix) -> sp.Matrix | None:
     points = slopes.cols + 3
     sampled = [sp.zeros(0, rows.cols)]
     for seed in range(points):
-        values = at(rows, random_point(rows.free_symbols, seed))
+        values = _at_rational_point(rows, seed)
         kept = [i for i in range(rows.rows) if all(e.is_Rational for e in values[i, :])]
         if kept and is_finite(values):
             sampled.append(sp.Matrix(values.extract(kept, list(range(rows.cols)))))
     stacked = sp.Matrix.vstack(*sampled)
     return kernel(stacked) if stacked.rows else sp.eye(rows.cols)
+
+
+def _at_rational_point(rows: sp.Matrix, seed: int) -> sp.Matrix:
+    """Rows at a point with rational sines and cosines where angles stand in nothing else."""
+    rows = rows.applyfunc(sp.expand_trig)
+    point = random_point(rows.free_symbols, seed)
+    found = {f.args[0] for entry in rows for f in entry.atoms(sp.sin, sp.cos)}
+    angles = {s for s in point if s in found}
+    half = {s: point[s] for s in angles}  # tan(s/2)
+    turned: dict[sp.Expr, sp.Expr] = {sp.sin(s): 2 * t / (1 + t**2) for s, t in half.items()}
+    turned |= {sp.cos(s): (1 - t**2) / (1 + t**2) for s, t in half.items()}
+    circled = sp.Matrix(rows.xreplace(turned))
+    return sp.Matrix(at(rows if circled.free_symbols & angles else circled, point))
 
 
 def _even(matrix: sp.Matrix) -> sp.Matrix:
@@ -111,71 +126,112 @@ def _dual_exists(curved: Sequence[sp.Matrix], losing: Sequence[sp.Matrix], r: in
     """Whether an exact pair (Z, Y) is found; floating point proposes it."""
     if not curved:
         return True  # only B = 0
-    units = _symmetric_units(r)
-    inner = np.array(
-        [
-            [float(np.sum(float_matrix(Q) * E)) for E in units]
-            + [-float(np.sum(float_matrix(L) * E)) for E in units]
-            for Q, L in zip(curved, losing, strict=True)
-        ]
-    )
+    dual = _faced(curved, losing, r)
+    if not dual.sizes[0]:
+        return False  # Z = 0
+    units = dual.units
+    inner = float_matrix(dual.equations)
     scale = np.abs(inner).max(axis=1)
-    zeros = np.zeros((len(units), r, r))
-    parts = np.array(units)
-    trace = np.array([np.trace(E) for E in units] + [0.0] * len(units))
+    inequalities = []
+    for block, size in enumerate(dual.sizes):
+        if size:
+            parts = [float_matrix(E) if k == block else np.zeros((size, size)) for k, E in units]
+            inequalities.append((np.zeros((size, size)), np.array(parts)))
+    trace = np.array([float(np.trace(float_matrix(E))) if k == 0 else 0.0 for k, E in units])
     program = SemidefiniteProgram(
-        cost=np.zeros(2 * len(units)),
-        inequalities=[
-            (np.zeros((r, r)), np.concatenate([parts, zeros])),
-            (np.zeros((r, r)), np.concatenate([zeros, parts])),
-        ],
+        cost=np.zeros(len(units)),
+        inequalities=inequalities,
         equations=[(row / (size or 1.0), 0.0) for row, size in zip(inner, scale, strict=True)]
         + [(trace, 1.0)],
     )
     proposed = program.solution()
     if proposed is None:
         return False
-    return any(_certifies(curved, losing, proposed, most, r) for most in _DENOMINATORS)
+    return any(dual.certifies(proposed, most) for most in _DENOMINATORS)
 
 
-def _symmetric_units(r: int) -> list[Vector]:
+@dataclass(frozen=True)
+class _Dual:
+    """⟨Z, S⟩ = ⟨Y, L⟩ for each member of the family, with Z and Y in what they may be in."""
+
+    curved: tuple[sp.Matrix, ...]  # S of each member, on the face of Z
+    losing: tuple[sp.Matrix, ...]  # L of each member, on the face of Y
+
+    @property
+    def sizes(self) -> tuple[int, int]:
+        """Rows of Z and of Y."""
+        return self.curved[0].rows, self.losing[0].rows
+
+    @cached_property
+    def units(self) -> list[tuple[int, sp.Matrix]]:
+        """A basis of the symmetric matrices Z (0) and Y (1)."""
+        return [(block, E) for block in (0, 1) for E in _symmetric_units(self.sizes[block])]
+
+    @cached_property
+    def equations(self) -> sp.Matrix:
+        """One row per member, one column per unit."""
+        members = zip(self.curved, self.losing, strict=True)
+        return sp.Matrix(
+            [[_inner(Q, E) if k == 0 else -_inner(L, E) for k, E in self.units] for Q, L in members]
+        )
+
+    def certifies(self, proposed: Vector, most: int) -> bool:
+        """Whether the proposal, rounded and moved onto the equations, is an exact certificate."""
+        scaled = proposed / np.abs(proposed).max()
+        rounded = sp.Matrix([rational(float(v), most) for v in scaled])
+        basis = kernel(self.equations)
+        if basis.cols == 0:
+            return False
+        exact = basis * (basis.T * basis).LUsolve(basis.T * rounded)
+        found = [sp.zeros(size) for size in self.sizes]
+        for weight, (k, E) in zip(exact, self.units, strict=True):
+            found[k] += weight * E
+        semidefinite = all(definiteness(matrix)[0] in ("positive", "flat") for matrix in found)
+        return semidefinite and not found[0].is_zero_matrix
+
+
+def _faced(curved: Sequence[sp.Matrix], losing: Sequence[sp.Matrix], r: int) -> _Dual:
+    """The same on smaller faces, where members with L = 0 or S = 0 leave Z or Y no more.
+
+    ⟨Z, S⟩ = 0 with S semidefinite asks for ZS = 0, which no rounding of another Z would keep.
+    """
+    faces = [sp.eye(r), sp.eye(r)]
+    kinds = [list(curved), list(losing)]
+    while True:
+        seen = [[N.T * Q * N for Q in kind] for N, kind in zip(faces, kinds, strict=True)]
+        cut = next(
+            (
+                (k, Q)
+                for k in (0, 1)
+                for Q, other in zip(seen[k], seen[1 - k], strict=True)
+                if other.is_zero_matrix and not Q.is_zero_matrix and _is_semidefinite(Q)
+            ),
+            None,
+        )
+        if cut is None:
+            return _Dual(_of_size_one(seen[0]), _of_size_one(seen[1]))
+        faces[cut[0]] = faces[cut[0]] * kernel(cut[1])
+
+
+def _of_size_one(matrices: Sequence[sp.Matrix]) -> tuple[sp.Matrix, ...]:
+    """The same up to one positive factor, which Z or Y makes up for."""
+    largest = max((abs(e) for Q in matrices for e in Q), default=sp.Integer(0)) or sp.Integer(1)
+    return tuple(Q / largest for Q in matrices)
+
+
+def _is_semidefinite(Q: sp.Matrix) -> bool:
+    return any(definiteness(sign * Q)[0] in ("positive", "flat") for sign in (1, -1))
+
+
+def _symmetric_units(r: int) -> list[sp.Matrix]:
     """A basis of the symmetric matrices."""
     units = []
     for i in range(r):
         for j in range(i + 1):
-            unit = np.zeros((r, r))
-            unit[i, j] = unit[j, i] = 1.0
+            unit = sp.zeros(r)
+            unit[i, j] = unit[j, i] = 1
             units.append(unit)
     return units
-
-
-def _certifies(
-    curved: Sequence[sp.Matrix],
-    losing: Sequence[sp.Matrix],
-    proposed: Vector,
-    most: int,
-    r: int,
-) -> bool:
-    """Whether the proposal, rounded and moved onto the equations, is an exact certificate."""
-    scaled = proposed / np.abs(proposed).max()
-    rounded = sp.Matrix([rational(float(v), most) for v in scaled])
-    units = [sp.Matrix(E.astype(int).tolist()) for E in _symmetric_units(r)]
-    equations = sp.Matrix(
-        [
-            [_inner(Q, E) for E in units] + [-_inner(L, E) for E in units]
-            for Q, L in zip(curved, losing, strict=True)
-        ]
-    )
-    basis = kernel(equations)
-    if basis.cols == 0:
-        return False
-    exact = basis * (basis.T * basis).LUsolve(basis.T * rounded)
-    half = len(units)
-    Z, Y = (
-        sum((exact[start + k] * E for k, E in enumerate(units)), sp.zeros(r)) for start in (0, half)
-    )
-    semidefinite = all(definiteness(matrix)[0] in ("positive", "flat") for matrix in (Z, Y))
-    return semidefinite and not Z.is_zero_matrix
 
 
 def _inner(P: sp.Matrix, Q: sp.Matrix) -> sp.Expr:

@@ -109,7 +109,7 @@ def scalar_entry(value: object, label: str, allowed: Sequence[sp.Symbol]) -> sp.
         raise ModelError(
             "undefined_symbol",
             f"{label} contains {', '.join(unknown)}, not among {', '.join(map(str, allowed))}",
-            f"Give it a value: params = {{{unknown[0]}: 1}}, or --param {unknown[0]}=1.",
+            f"Give it a value in the model: params = {{{unknown[0]}: 1}}.",
         )
     part = non_smooth_part(expr)
     if part is not None:

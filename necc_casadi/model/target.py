@@ -36,7 +36,9 @@ _RELATIVE = 1e-9
 _CONVERGED, _NEWTON_STEPS, _SCALINGS = 1e-12, 60, 8
 
 
-def parse_target(plant: Equilibria, text: str) -> dict[sp.Symbol, sp.Expr]:
+def parse_target(
+    plant: Equilibria, text: str, own: Mapping[str, sp.Expr] | None = None
+) -> dict[sp.Symbol, sp.Expr]:
     """x* from ``pi/4``, ``q=pi/4``, ``q1=pi/4,q2=-pi/3`` or all states in order.
 
     Parameters
@@ -45,6 +47,8 @@ def parse_target(plant: Equilibria, text: str) -> dict[sp.Symbol, sp.Expr]:
         Whose equilibrium condition gives the states that are not named.
     text
         Constant expressions, in the units of the model.
+    own
+        The ``target`` of the model file: of several equilibria that fit the text it is meant.
 
     Returns
     -------
@@ -73,11 +77,27 @@ def parse_target(plant: Equilibria, text: str) -> dict[sp.Symbol, sp.Expr]:
             "Name all of them (q=pi/4,p=0) or none (pi/4,0).",
         )
     if named:
-        return solve_target(plant, _named_values(plant, entries))
+        return _completed(plant, _named_values(plant, entries), own)
     values = [_number(entry) for entry in entries]
     if len(values) == plant.n:
         return dict(zip(plant.x, values, strict=True))
-    return solve_target(plant, dict(zip(_free_for(plant, len(values), text), values, strict=True)))
+    free = _free_for(plant, len(values), text)
+    return _completed(plant, dict(zip(free, values, strict=True)), own)
+
+
+def _completed(
+    plant: Equilibria, given: Mapping[sp.Symbol, sp.Expr], own: Mapping[str, sp.Expr] | None
+) -> dict[sp.Symbol, sp.Expr]:
+    """The equilibrium with these values; of several the model's own target, where it is one."""
+    try:
+        return solve_target(plant, given)
+    except TargetError as several:
+        if several.code != "target_ambiguous" or own is None:
+            raise
+        meant = target_from_model(plant, own)
+        if not all(is_zero(meant[s] - value) is True for s, value in given.items()):
+            raise
+        return meant
 
 
 def target_from_model(plant: Equilibria, given: Mapping[str, sp.Expr]) -> dict[sp.Symbol, sp.Expr]:

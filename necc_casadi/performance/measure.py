@@ -21,7 +21,7 @@ from necc_casadi.performance.margins import Margins, Sweep, margins, one_input
 from necc_casadi.performance.optimum import Optimal, optimal_responses
 from necc_casadi.performance.plant_model import PlantModel, plant_model
 from necc_casadi.performance.starts import decay_time, random_starts, settled_in
-from necc_casadi.performance.steady_error import disturbed_error, perturbed_error
+from necc_casadi.performance.steady_error import disturbed_error, parameter_errors
 
 __all__ = [
     "Curve",
@@ -206,15 +206,9 @@ def _curve(name: str, found: Responses, design: Design) -> Curve:
 
 
 def _errors(design: Design, others: Mapping[str, Equilibria]) -> Errors:
+    pushed = disturbed_error(design, DISTURBANCE)
     size = design.sizes.state[: design.loop.plant.n]
-
-    def in_model(error: Vector | None) -> Vector | None:
-        return None if error is None else error * size
-
-    return Errors(
-        in_model(disturbed_error(design, DISTURBANCE)),
-        {name: in_model(perturbed_error(design, plant)) for name, plant in others.items()},
-    )
+    return Errors(None if pushed is None else pushed * size, parameter_errors(design, others))
 
 
 def _loop(design: Design) -> Loop | None:

@@ -226,7 +226,7 @@ class _Follower:
         arrived, lost, resting = near == 0, *np.zeros((2, count), bool)
         t, h, quiet = np.zeros(count), np.full(count, self.horizon / 1000), np.zeros(count)
         slope, asked = self._slopes(z)
-        peak = np.abs(asked)
+        peak = np.where(np.isfinite(asked), np.abs(asked), 0.0)
         exceeded = (asked < self.lo) | (asked > self.hi)
         alive, stiff = np.flatnonzero(~arrived), np.zeros(count, bool)
         most = _MOST_STEPS * _FEW_STATES // max(_FEW_STATES, z.shape[1])

@@ -7,12 +7,9 @@ import numpy.typing as npt
 
 from necc_casadi.arrays import Vector
 from necc_casadi.designs.design import Design
+from necc_casadi.simulation.responses import slowest_decay
 
 __all__ = ["decay_time", "random_starts", "settled_in"]
-
-
-#: Modes that decay more slowly than this share of the fastest are not waited for.
-_DECAYS = 1e-4
 
 
 #: The slowest mode has this many time constants to settle.
@@ -33,6 +30,5 @@ def decay_time(design: Design) -> float:
 
 def settled_in(spectrum: npt.NDArray[np.complex128] | Vector) -> float:
     """Long enough for the slowest of these modes."""
-    decays = -np.real(spectrum)
-    pace = decays[decays > _DECAYS * np.abs(spectrum).max()].min(initial=np.inf)
-    return float(_CONSTANTS / pace) if np.isfinite(pace) else _CONSTANTS
+    pace = slowest_decay(spectrum)
+    return _CONSTANTS / pace if pace else _CONSTANTS

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import casadi as ca
 import numpy as np
 
@@ -11,7 +13,7 @@ from necc_casadi.lyapunov.sympy2casadi import casadi_function
 from necc_casadi.model.control_affine import Equilibria
 from necc_casadi.model.rescale import rescaled_motion
 
-__all__ = ["disturbed_error", "perturbed_error"]
+__all__ = ["disturbed_error", "parameter_errors", "perturbed_error"]
 
 
 #: Steps from the design's own plant to the other one, and Newton steps in each.
@@ -53,6 +55,13 @@ def perturbed_error(design: Design, other: Equilibria) -> Vector | None:
         casadi_function("directions", motion.x, motion.g),
     )
     return _error(design.natural, dynamics, np.zeros(other.m))
+
+
+def parameter_errors(design: Design, others: Mapping[str, Equilibria]) -> dict[str, Vector | None]:
+    """:func:`perturbed_error` on each plant, in the units of the model."""
+    size = design.sizes.state[: design.loop.plant.n]
+    found = {name: perturbed_error(design, plant) for name, plant in others.items()}
+    return {name: None if e is None else e * size for name, e in found.items()}
 
 
 #: (f, g) of ẋ = f + g u.

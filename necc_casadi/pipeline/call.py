@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from pathlib import Path
 from typing import Unpack
 
@@ -13,6 +14,9 @@ from necc_casadi.pipeline.result import Result
 from necc_casadi.pipeline.run import run_design
 
 __all__ = ["run"]
+
+
+_LOG = logging.getLogger("necc_casadi")
 
 
 def run(
@@ -34,7 +38,7 @@ def run(
     out
         Folder to write, with C code, figures and a report; by default none is.
     say
-        Called with what is being done.
+        Called with what is being done; by default the logger ``necc_casadi`` is told, at INFO.
     options
         As those of the command: ``check=True, settle=3, compare=True``; all of them:
         ``help(necc_casadi.RunOptions)``.
@@ -57,4 +61,4 @@ def run(
     ('certified', True)
     """
     request = request_of(model, target, out, options)
-    return Result(run_design(request, say or (lambda text: None)), request)
+    return Result(run_design(request, say or _LOG.info), request)

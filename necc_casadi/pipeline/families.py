@@ -73,6 +73,7 @@ def with_family(
     from necc_casadi.certificate.claims.statements import NO_FAMILY
     from necc_casadi.certificate.prover.everywhere import prove_everywhere
     from necc_casadi.certificate.prover.family import prove_family
+    from necc_casadi.certificate.prover.members import prove_members
     from necc_casadi.designs.family import lift
 
     lifted = lift(made, model.ranges, model.parametric)
@@ -85,4 +86,8 @@ def with_family(
     elif claim.data["left"]:
         share = proved_share(claim.data)
         because = f"proved on {100 * share:.3g} % of the ranges; the claim names what is left out"
-    return certificate.having(claim, prove_everywhere(lifted)), lifted, because
+    everywhere = prove_everywhere(lifted)
+    certificate = certificate.having(claim, everywhere)
+    if everywhere.data.get("follows") != "converges" or made.loop.plant.domain:
+        certificate = certificate.having(prove_members(lifted, claim))
+    return certificate, lifted, because

@@ -171,7 +171,7 @@ def read_target(model: Model, text: str | None) -> dict[sp.Symbol, sp.Expr]:
     """x* from --target, else from the model file."""
     text = middle_of_target(text)
     if text is not None:
-        return parse_target(model.system, text)
+        return parse_target(model.system, text, model.target)
     if model.target is not None:
         return target_from_model(model.system, model.target)
     free, dimension = free_coordinates(model.system)

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 import sympy as sp
 
+from necc_casadi.arrays import Vector
 from necc_casadi.errors import InputError
 from necc_casadi.files import LISTING, check_writable, write_text
 from necc_casadi.folders import whole_folder
@@ -26,6 +27,7 @@ from necc_casadi.methods.method import Method
 from necc_casadi.model.family_loop import FamilyLoop, NoFamily
 from necc_casadi.model.lagrangian import Plants
 from necc_casadi.model.model_file import Model
+from necc_casadi.model.modulated import System
 from necc_casadi.model.parametric import Parametric
 from necc_casadi.model.plant import Plant
 from necc_casadi.model.ranges import Range
@@ -77,8 +79,8 @@ __all__ = ["REPORT", "run_design", "write_run"]
 REPORT = "report.html"
 
 
-#: Structures of one method that are designed for, to keep the one that responds best.
-_STRUCTURES = 2
+#: Structures that may be designed for, to keep one; the third only if nothing else is proved.
+_STRUCTURES = 3
 
 
 _RESPONSES = 10
@@ -180,6 +182,7 @@ def _studied(request: Request, task: _Task, found: Findings, kept: _Kept, clock:
     sweep: tuple[SweepPoint, ...] = ()
     if request.sweep_a is not None:
         sweep = _swept(request.sweep_a, task, choice.kept.options, clock)
+    performance = _compared(request, task, made, clock) if request.compare else None
     sampling = _sampled(request, made)
     warning = None if sampling is None else sampling.warning
     return replace(
@@ -195,7 +198,8 @@ def _studied(request: Request, task: _Task, found: Findings, kept: _Kept, clock:
         family=kept.family,
         beside=_beside_proof(made, certificate, kept.family, task.model.parametric, clock),
         asked=choice.kept.asked if made.integral is None else None,
-        performance=_compared(request, task, made, clock) if request.compare else None,
+        performance=performance,
+        parameter_errors=_displaced(request, task, made, performance, clock),
         sweep=sweep,
         notes=(
             *task.notes,
@@ -327,9 +331,10 @@ def _chosen(request: Request, task: _Task, clock: Clock) -> tuple[Choice, _Task]
             return None
         return family_of(task.model, method, task.x_star, task.options)
 
-    choice, method, seconds = best_structure(methods, task.x_star, task.options, clock.say, family)
-    clock.timings.update(seconds)
-    return choice, replace(task, found=replace(task.found, chosen=method))
+    kept = best_structure(methods, task.x_star, task.options, clock.say, family)
+    clock.timings.update(kept.seconds)
+    found = replace(task.found, chosen=kept.method, passed=kept.passed)
+    return kept.choice, replace(task, found=found)
 
 
 @dataclass(frozen=True, eq=False)
@@ -482,13 +487,33 @@ def _compared(request: Request, task: _Task, made: Design, clock: Clock) -> Perf
     from necc_casadi.performance.measure import measure
 
     with clock.stage("compare", "comparing with LQR and the optimum"):
-        others = {}
-        for name, value in task.model.params.items():
-            if value != 0:
-                changed = f"{name}={sp.sstr(value * _LARGER)}"
-                with contextlib.suppress(InputError):  # no such plant: nothing to hold
-                    others[name] = read_model(request, changed).system
+        others = _with_larger_parameters(request, task)
         return measure(made, cost=task.options.cost(made.sizes, made.loop.plant.n), others=others)
+
+
+def _displaced(
+    request: Request, task: _Task, made: Design, known: Performance | None, clock: Clock
+) -> Mapping[str, Vector | None]:
+    """Where a controller that contains the model rests when a parameter is wrong."""
+    from necc_casadi.performance.steady_error import parameter_errors
+
+    if task.method.name == "interconnection":
+        return {}
+    if known is not None:
+        return known.errors.parameters
+    with clock.stage("compare", "trying other parameters"):
+        return parameter_errors(made, _with_larger_parameters(request, task))
+
+
+def _with_larger_parameters(request: Request, task: _Task) -> dict[str, System]:
+    """The plant with each of its parameters a little larger, by name."""
+    others = {}
+    for name, value in task.model.params.items():
+        if value != 0:
+            changed = f"{name}={sp.sstr(value * _LARGER)}"
+            with contextlib.suppress(InputError):  # no such plant: nothing to hold
+                others[name] = read_model(request, changed).system
+    return others
 
 
 def _exported(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,7 +13,7 @@ from necc_casadi.model.modulated import System
 if TYPE_CHECKING:
     from necc_casadi.performance.measure import Performance, Rating
 
-__all__ = ["cells", "comparison", "error_lines"]
+__all__ = ["cells", "comparison", "error_lines", "parameter_lines"]
 
 
 #: Columns of a label and of each controller.
@@ -57,9 +58,13 @@ def cells(found: Performance, plant: System) -> list[list[str]]:
 
 def error_lines(found: Performance, plant: System) -> list[str]:
     """How far from the target each changed plant rests, in the units of the model."""
-    errors = {"10 % disturbance of u": found.errors.disturbance}
-    errors |= {f"{name} + 10 %": error for name, error in found.errors.parameters.items()}
-    return [f"{label}: {_error(error, plant)}" for label, error in errors.items()]
+    pushed = f"10 % disturbance of u: {_error(found.errors.disturbance, plant)}"
+    return [pushed, *parameter_lines(found.errors.parameters, plant)]
+
+
+def parameter_lines(errors: Mapping[str, Vector | None], plant: System) -> list[str]:
+    """How far from the target it rests on the plant with each parameter 10 % larger."""
+    return [f"{name} + 10 %: {_error(error, plant)}" for name, error in errors.items()]
 
 
 def _error(error: Vector | None, plant: System) -> str:

@@ -75,6 +75,14 @@ _AFTER = 0.25
 _WITHIN = 0.95
 
 
+#: Height of a line of a title, in inches.
+_LINE = 0.17
+
+
+#: A state that travels less than this, in sizes, is at rest.
+_STILL = 1e-6
+
+
 #: V − V(z̄) below this, in natural units, is rounding.
 _ROUNDING = 1e-14
 
@@ -189,16 +197,16 @@ def region_figure(
 
     Responses leave the slice because ξ moves, but not the shadow.
     """
-    figure = panels(1, 1, (5.45, 4.1), legend=0.85)
-    axis = figure.add_subplot()
-    draw_region(axis, design, level, responses, reach, obstacle)
-    figure.legend(loc="lower center", ncols=2, fontsize=8)
     domain = domain_window(design)
     window, edge = _window(design, level, _telling_sides(design, reach))
     low, high = edge.min(axis=0), edge.max(axis=0)
     goes_on = (low < window.lo).any() or (high > window.hi).any()
+    figure = panels(1, 1, (5.45, 4.1), legend=0.85, above=_LINE if goes_on else 0.0)
+    axis = figure.add_subplot()
+    draw_region(axis, design, level, responses, reach, obstacle)
+    figure.legend(loc="lower center", ncols=2, fontsize=8)
     title = f"{design.loop.plant.name}: proved region Ω"
-    title += f", {_extent(design, low, high)}" if goes_on else ""
+    title += f"\nΩ: {_extent(design, low, high)}" if goes_on else ""
     shown = _extent(design, domain.lo, domain.hi)  # Ω may be a small part
     axis.set_title(f"{title}\ndomain: {shown}", fontsize=8 if goes_on else 9)
     return figure
@@ -352,12 +360,16 @@ def _settled(trajectories: Sequence[Trajectory]) -> float:
 
 
 def _telling_states(design: Design, trajectories: Sequence[Trajectory]) -> list[int]:
-    """All states where they fit, else those that travel farthest, in order."""
-    total = len(design.loop.states)
-    if total <= _MOST_PANELS or not trajectories:
+    """All states where they fit, else those that travel farthest, in order.
+
+    A controller's state that never moves, as where damping alone holds the target, tells nothing.
+    """
+    total, n = len(design.loop.states), design.loop.plant.n
+    if not trajectories:
         return list(range(min(total, _MOST_PANELS)))
     travel = np.max([np.ptp(r.z / design.sizes.state, axis=0) for r in trajectories], axis=0)
-    return sorted(int(k) for k in np.argsort(-travel)[:_MOST_PANELS])
+    telling = [k for k in np.argsort(-travel).tolist() if k < n or travel[k] > _STILL]
+    return sorted(telling[:_MOST_PANELS])
 
 
 def _over_time(design: Design, response: Trajectory, name: str) -> Vector:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import sympy as sp
 
+from necc_casadi.arrays import Vector
 from necc_casadi.errors import OptionError
 from necc_casadi.methods.find import Found
 from necc_casadi.methods.method import Method
@@ -49,6 +50,7 @@ class Findings:
     sampling: SampledLoop | None = None
     asked: Asked | None = None  # of the response
     performance: Performance | None = None  # with --compare
+    parameter_errors: Mapping[str, Vector | None] = field(default_factory=dict)  # as of Errors
     sweep: Sequence[SweepPoint] = ()
     family: Family | None = None  # that the design is one of
     beside: BesideProof | None = None  # plants that a proof is about, simulated

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import sympy as sp
 
-from necc_casadi.methods.find import Found
 from necc_casadi.methods.method import Method
 from necc_casadi.model.shaped_loop import ShapedLoop
-from necc_casadi.symbolic.expressions import to_text
+from necc_casadi.report.compared import parameter_lines
+from necc_casadi.report.findings import Findings
+from necc_casadi.report.formulas import readable
 
 __all__ = ["method_rows"]
 
@@ -16,19 +17,32 @@ __all__ = ["method_rows"]
 _LONGEST = 240
 
 
-def method_rows(found: Found) -> list[tuple[str, str]]:
+def method_rows(findings: Findings) -> list[tuple[str, str]]:
     """Label and text of each line about methods other than the published loop."""
+    found = findings.found
     method = found.chosen
     rows: list[tuple[str, str]] = []
     if method is not None and method.name != "interconnection":
         rows.append(("method", f"{method.name}: {_verdict(method)}"))
         rows += [("", line) for line in _formulas(method)]
-        rows.append(("", "the controller contains the model: errors of its parameters displace it"))
+        rows += [("", f"instead of {other.name}: {other.because}") for other in found.passed]
+        rows += [("", line) for line in _model_errors(findings)]
     rows += [
         ("not held", f"{refusal.name}: {refusal.reason}{'' if refusal.proved else ' (no proof)'}")
         for refusal in found.refusals
     ]
     return rows
+
+
+def _model_errors(findings: Findings) -> list[str]:
+    """That the controller contains the model, and what wrong parameters do."""
+    errors = findings.parameter_errors
+    head = "the controller contains the model: errors of its parameters displace it"
+    lines = parameter_lines(errors, findings.system)
+    if errors and findings.performance is None:  # which shows them too
+        return [f"{head}; where it rests with one of them wrong, every mode decays:", *lines]
+    named = errors or findings.design is None
+    return [head if named else f"{head}; where the model file has them in `params`, by how much"]
 
 
 def _verdict(method: Method) -> str:
@@ -43,14 +57,20 @@ def _formulas(method: Method) -> list[str]:
     ahead = loop.plant.preliminary
     lines = []
     if ahead is not None:
-        u0, gain = _matrix(ahead.u0), _matrix(ahead.gain)
-        by = "w" if (ahead.gain - sp.eye(ahead.gain.rows)).is_zero_matrix else f"{gain} w"
-        lines.append(f"u = {u0} + {by}; for w the plant has H = {_shown(loop.plant.H)}")
+        alone = (ahead.gain - sp.eye(ahead.gain.rows)).is_zero_matrix
+        by = "w" if alone else f"{_matrix(ahead.gain)} w"
+        lines.append(
+            f"u {_sign(ahead.u0, ahead.gain)} {_matrix(ahead.u0)} + {by}; for w the plant has "
+            f"H {_sign(loop.plant.H)} {_shown(loop.plant.H)}"
+        )
     if isinstance(loop, ShapedLoop) and not any(loop.shaping):
         lines.append("damping alone: w = −D y, y = Gᵀ∇H, and what a coupled damping adds")
     elif isinstance(loop, ShapedLoop):
         gammas = ", ".join(_shown(g) for g in loop.shaping)
-        lines.append(f"shaping functions γ = {gammas}; α = {_matrix(loop.alpha)}; ξ̇ = ∇γᵀẋ + v_c")
+        alpha = f"α {_sign(loop.alpha)} {_matrix(loop.alpha)}"
+        lines.append(
+            f"shaping functions γ {_sign(*loop.shaping)} {gammas}; {alpha}; ξ̇ = ∇γᵀẋ + v_c"
+        )
     return lines
 
 
@@ -61,6 +81,12 @@ def _matrix(matrix: sp.MatrixBase) -> str:
     return f"[{'; '.join(rows)}]"
 
 
+def _sign(*values: sp.Expr | sp.MatrixBase) -> str:
+    """Whether what follows is said exactly or with rounded numbers."""
+    entries = (e for v in values for e in (v if isinstance(v, sp.MatrixBase) else [v]))
+    return "≈" if any(readable(e)[1] for e in entries) else "="
+
+
 def _shown(expr: sp.Expr) -> str:
-    text = to_text(expr)
+    text = readable(expr)[0]
     return text if len(text) <= _LONGEST else f"{text[: _LONGEST - 1]}…"

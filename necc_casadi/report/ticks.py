@@ -52,20 +52,28 @@ _TICKS = 6
 _LEFT, _RIGHT, _BETWEEN, _ABOVE, _BELOW = 0.8, 0.15, 0.6, 0.45, 0.55
 
 
-def panels(rows: int, columns: int, panel: tuple[float, float], legend: float = 0.0) -> Figure:
+def panels(
+    rows: int,
+    columns: int,
+    panel: tuple[float, float],
+    legend: float = 0.0,
+    above: float = 0.0,
+) -> Figure:
     """A figure with room for panels of a width and a height in inches, and for a legend below.
+
+    `above` is room for more than two lines of a title.
 
     A layout that measures every text takes longer than all the drawing.
     """
     width = columns * (_LEFT + panel[0] + _RIGHT)
     below = _BELOW + legend
-    height = _ABOVE + rows * panel[1] + (rows - 1) * _BETWEEN + below
+    height = _ABOVE + above + rows * panel[1] + (rows - 1) * _BETWEEN + below
     figure = Drawing(figsize=(width, height))
     figure.subplots_adjust(
         left=_LEFT / width,
         right=1 - _RIGHT / width,
         bottom=below / height,
-        top=1 - _ABOVE / height,
+        top=1 - (_ABOVE + above) / height,
         wspace=(_LEFT + _RIGHT) / panel[0],
         hspace=_BETWEEN / panel[1],
     )

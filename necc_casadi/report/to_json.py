@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import sympy as sp
@@ -42,7 +43,7 @@ def to_json(found: Findings) -> dict[str, Any]:
         "controller": None if held is None else {"states": list(held.loop.controller.states)},
         "target": {str(s): to_float(found.x_star[s]) for s in system.x},
         "verdict": None if published is None else _verdict(published.verdict, published.casimirs),
-        "method": None if method is None else _method(method),
+        "method": None if method is None else _method(method, found),
         "methods_refused": [vars(refusal) for refusal in found.found.refusals] or None,
         "design": None
         if found.design is None or found.measures is None
@@ -115,7 +116,9 @@ def _family(found: Findings) -> dict[str, Any] | None:
         return None
     from necc_casadi.certificate.claims.family import off_target, proved_share
 
-    claim, everywhere = (held_claim(found.certificate, name) for name in ("family", "everywhere"))
+    claim, everywhere, regions = (
+        held_claim(found.certificate, name) for name in ("family", "everywhere", "members")
+    )
     data = None if claim is None else claim.data
 
     def ranges(kind: Kind) -> dict[str, list[float]]:
@@ -132,6 +135,8 @@ def _family(found: Findings) -> dict[str, Any] | None:
         "boxes": None if data is None else len(data["boxes"]),
         "proved_share": 0.0 if data is None else proved_share(data),
         "left": None if data is None else [[list(v) for v in box] for box in data["left"]],
+        "common_share": None if regions is None else regions.data["share"],
+        "step": None if regions is None else dict(regions.data["step"]),
         "global": None if everywhere is None else everywhere.data["follows"],
     }
 
@@ -190,9 +195,6 @@ def _asked(asked: Asked) -> dict[str, Any]:
 
 
 def _performance(found: Performance, states: list[str]) -> dict[str, Any]:
-    def error(values: Vector | None) -> dict[str, float] | None:
-        return None if values is None else dict(zip(states, values.tolist(), strict=True))
-
     others = {"lqr": found.lqr, "optimum": found.optimum}
     return {
         **_rating(found.design),
@@ -200,10 +202,15 @@ def _performance(found: Performance, states: list[str]) -> dict[str, Any]:
         "starts": found.starts,
         "beside": {name: None if r is None else _rating(r) for name, r in others.items()},
         "errors": {
-            "disturbance": error(found.errors.disturbance),
-            "parameters": {k: error(v) for k, v in found.errors.parameters.items()},
+            "disturbance": _at_rest(found.errors.disturbance, states),
+            "parameters": {k: _at_rest(v, states) for k, v in found.errors.parameters.items()},
         },
     }
+
+
+def _at_rest(error: Vector | None, states: Sequence[str]) -> dict[str, float] | None:
+    """An error by state."""
+    return None if error is None else dict(zip(states, error.tolist(), strict=True))
 
 
 def _rating(rating: Rating) -> dict[str, Any]:
@@ -250,12 +257,17 @@ def _verdict(verdict: Verdict, casimirs: Casimirs) -> dict[str, Any]:
     }
 
 
-def _method(method: Method) -> dict[str, Any]:
+def _method(method: Method, found: Findings) -> dict[str, Any]:
     """How the target is held, with formulas as text."""
     loop = method.loop
     ahead, shaped = loop.plant.preliminary, isinstance(loop, ShapedLoop)
     return {
         "name": method.name,
+        "instead_of": [vars(other) for other in found.found.passed],
+        "parameter_errors": {
+            name: _at_rest(error, found.system.states)
+            for name, error in found.parameter_errors.items()
+        },
         "shaping": [to_text(g) for g in loop.gamma] if shaped else None,
         "alpha": matrix_text(loop.feedback) if shaped else None,
         "structure": None

@@ -12,7 +12,7 @@ import numpy as np
 import sympy as sp
 
 from necc_casadi.casimirs.casimirs import Casimirs
-from necc_casadi.model.modulated import System
+from necc_casadi.model.lagrangian import integral_obstacle
 from necc_casadi.report.asked import asked_text, missed
 from necc_casadi.report.compared import comparison, error_lines
 from necc_casadi.report.findings import Findings, attracts, global_claim, held_claim, region_claim
@@ -44,6 +44,10 @@ __all__ = [
 ]
 
 
+#: Constants with more letters than this are said in decimals alone.
+_LONG_CONSTANT = 24
+
+
 #: Columns of a page, of the labels, and of the labels inside a block.
 _WIDTH, _INDENT, _SUB = 98, 14, 11
 
@@ -64,8 +68,15 @@ _BEGINS = {
 }
 
 
+#: What is offered against errors at rest.
+_INTEGRAL = (
+    "with --integral neither a constant disturbance of u nor wrong inertia, potential or friction "
+    "displaces it"
+)
+
+
 #: Claims that no exit code rests on.
-_OPTIONAL_CLAIMS = ("global", "everywhere", "input_limits", "clipping", "momenta")
+_OPTIONAL_CLAIMS = ("global", "everywhere", "members", "input_limits", "clipping", "momenta")
 
 
 #: Lists of more states than this are shortened in the text, never in the JSON.
@@ -106,7 +117,7 @@ def facts(found: Findings) -> list[tuple[str, str]]:
     if published is not None:
         rows.append(("Casimirs", _casimirs(published.casimirs)))
         rows.append(("verdict", _verdict_text(published.verdict)))
-    rows += method_rows(found.found)
+    rows += method_rows(found)
     if found.design is not None and found.measures is not None:
         rows.append(("sizes", _sizes(found.design)))
         rows += _design_rows(found.design, found.measures, found.certificate)
@@ -116,7 +127,7 @@ def facts(found: Findings) -> list[tuple[str, str]]:
         rows.append(("choice", found.choice.reason))
     rows += _asked_rows(found)
     if found.performance is not None:
-        rows += _compared_rows(found.performance, found.system)
+        rows += _compared_rows(found, found.performance)
     if found.responses:
         rows.append(("responses", _responses(found)))
     if found.choice is not None:
@@ -155,14 +166,14 @@ def brief(found: Findings) -> list[tuple[str, str]]:
     if published is not None:
         rows.append(("Casimirs", _casimirs(published.casimirs)))
         rows.append(("verdict", _verdict_text(published.verdict)))
-    rows += method_rows(found.found)
+    rows += method_rows(found)
     if found.design is not None and found.measures is not None:
         rows.append(("design", _brief_design(found, found.measures)))
         if found.design.learned is not None:
             rows.append(("learned", _learned(found.design.learned)))
     rows += _asked_rows(found)
     if found.performance is not None:
-        rows += _compared_rows(found.performance, found.system)
+        rows += _compared_rows(found, found.performance)
     if found.responses:
         rows.append(("responses", _responses(found)))
     if found.sampling is not None:
@@ -319,17 +330,32 @@ def _refusal(found: Findings) -> str:
     return "the published loop is refused, with proof; no other that holds the target was found"
 
 
-def _compared_rows(performance: Performance, plant: System) -> list[tuple[str, str]]:
+def _compared_rows(found: Findings, performance: Performance) -> list[tuple[str, str]]:
     """The table, unbroken, and what rests elsewhere."""
-    first, *lines = comparison(performance, plant)
+    first, *lines = comparison(performance, found.system)
     rows = [("compared", _tied(first)), *(("", _tied(line)) for line in lines)]
-    return rows + [("", line) for line in error_lines(performance, plant)]
+    rows += [("", line) for line in error_lines(performance, found.system)]
+    return rows + ([("", _INTEGRAL)] if _takes_integral(found.design) else [])
+
+
+def _takes_integral(design: Design | None) -> bool:
+    """Whether integral action is offered for a design that has none."""
+    if design is None or design.integral is not None:
+        return False
+    functions, is_sum = design.casimirs.functions, design.form.phi is None
+    return integral_obstacle(design.loop, functions, is_sum) is None
 
 
 def target_text(found: Findings) -> str:
     """The target on one line, without units."""
-    plain = [f"{s} = {sp.sstr(found.x_star[s])}" for s in found.system.x[:_MANY]]
+    plain = [f"{s} = {_short(found.x_star[s])}" for s in found.system.x[:_MANY]]
     return ", ".join(plain) + (", …" if found.system.n > _MANY else "")
+
+
+def _short(value: sp.Expr) -> str:
+    """A number exactly, unless that is as long as a float's ratio."""
+    exactly = str(sp.sstr(value))
+    return exactly if len(exactly) <= _LONG_CONSTANT else f"{to_float(value):.6g}"
 
 
 def _target(found: Findings) -> str:
@@ -340,11 +366,18 @@ def _target(found: Findings) -> str:
         if many and value == 0:
             continue
         unit = found.system.units.get(str(symbol), "")
-        decimal = "" if value.is_Integer else f" = {to_float(value):.6g}"
-        parts.append(_tied(f"{symbol} = {sp.sstr(value)}{decimal} {unit}".rstrip()))
+        parts.append(_tied(f"{symbol} {_constant(value)} {unit}".rstrip()))
     if many:
         return f"{', '.join(parts[:_MANY])}{', …' if len(parts) > _MANY else ''}; zeros not listed"
     return ", ".join(parts)
+
+
+def _constant(value: sp.Expr) -> str:
+    """A constant, exact where that is short, and its decimals."""
+    exact, decimal = sp.sstr(value), f"{to_float(value):.6g}"
+    if value.is_Integer:
+        return f"= {exact}"
+    return f"= {exact} = {decimal}" if len(exact) <= _LONG_CONSTANT else f"≈ {decimal}"
 
 
 def _sizes(design: Design) -> str:

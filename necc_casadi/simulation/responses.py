@@ -23,6 +23,7 @@ __all__ = [
     "random_states",
     "response_from",
     "simulate",
+    "slowest_decay",
 ]
 
 
@@ -30,8 +31,9 @@ __all__ = [
 SETTLED = 0.02
 
 
-#: A mode that decays slower than this share of the fastest rate is taken as not decaying.
-_DECAYS = 1e-4
+#: A mode that decays slower than this share of its own frequency is taken as not decaying, and so
+#: is one that is slower than this share of the fastest.
+_DECAYS, _SLOWEST = 1e-4, 1e-7
 
 
 #: Horizon of a loop of which no mode decays, in natural times.
@@ -142,11 +144,20 @@ def default_horizon(design: Design) -> float:
     takes longer to settle than anyone wants to integrate with error control.
     """
     spectrum = design.spectrum
-    fastest = float(np.abs(spectrum).max())
-    decaying = [-v.real for v in spectrum if -v.real > _DECAYS * fastest]
-    settled = 8.0 / min(decaying) if decaying else _NOTHING_DECAYS * design.units.time
+    pace = slowest_decay(spectrum)
+    settled = 8.0 / pace if pace else _NOTHING_DECAYS * design.units.time
     oscillation = float(np.abs(spectrum.imag).max())
     return min(settled, _MOST_PERIODS * 2 * np.pi / oscillation) if oscillation else settled
+
+
+def slowest_decay(spectrum: npt.NDArray[np.complex128] | Vector) -> float:
+    """The least rate at which a mode decays, 0 where none does.
+
+    The current of a winding may be over 10⁵ times as fast as what it moves.
+    """
+    speed, decay = np.abs(spectrum), -np.real(spectrum)
+    decays = (decay > _DECAYS * speed) & (speed > _SLOWEST * speed.max())
+    return float(decay[decays].min()) if decays.any() else 0.0
 
 
 def random_states(design: Design, count: int, seed: int = 0) -> list[Vector]:

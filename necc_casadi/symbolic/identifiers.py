@@ -6,18 +6,15 @@ import keyword
 import re
 from collections.abc import Iterable
 
+from sympy.printing.c import reserved_words, reserved_words_c99
+
 from necc_casadi.symbolic.expressions import CONSTANTS, FUNCTIONS
 from necc_casadi.texts import to_ascii
 
 __all__ = ["identifiers"]
 
 
-_C_WORDS = {
-    "auto", "break", "case", "char", "const", "continue", "default", "do", "double", "else",
-    "enum", "extern", "float", "for", "goto", "if", "inline", "int", "long", "register",
-    "restrict", "return", "short", "signed", "sizeof", "static", "struct", "switch", "typedef",
-    "union", "unsigned", "void", "volatile", "while", "main",
-}  # fmt: skip
+_C_WORDS = {*reserved_words, *reserved_words_c99, "main"}
 
 
 def identifiers(names: Iterable[str]) -> list[str]:

@@ -13,7 +13,7 @@ from necc_casadi.symbolic.linear_algebra import tidy
 from necc_casadi.symbolic.primitive import primitive
 from necc_casadi.symbolic.zero import is_zero, sign
 
-__all__ = ["quadrature"]
+__all__ = ["even_and_odd", "quadrature"]
 
 
 #: Operations of an integrand beyond which sympy's rational integration takes minutes.
@@ -60,7 +60,7 @@ def _regular(F: sp.Expr, s: sp.Symbol, at: sp.Expr) -> sp.Expr | None:
 
 
 def _of_cosine_and_sine(f: sp.Expr, s: sp.Symbol, at: sp.Expr) -> sp.Expr | None:
-    parts = _even_and_odd(f, s)
+    parts = even_and_odd(f, s)
     if parts is None:
         return None
     even, odd, c = parts
@@ -71,7 +71,7 @@ def _of_cosine_and_sine(f: sp.Expr, s: sp.Symbol, at: sp.Expr) -> sp.Expr | None
     return over_cosine.subs(c, sp.cos(s)) + over_angle
 
 
-def _even_and_odd(f: sp.Expr, s: sp.Symbol) -> tuple[sp.Expr, sp.Expr, sp.Symbol] | None:
+def even_and_odd(f: sp.Expr, s: sp.Symbol) -> tuple[sp.Expr, sp.Expr, sp.Symbol] | None:
     """A, B and c with f = A(c) + sin s · B(c), c = cos s; None where f is none of these."""
     c, d = sp.Dummy("c"), sp.Dummy("d")
     f = f.replace(sp.tan, lambda a: sp.sin(a) / sp.cos(a))

@@ -11,7 +11,7 @@ from necc_casadi.designs.design import Design
 from necc_casadi.export.c_project import export_c
 from necc_casadi.export.casadi2c import Real
 from necc_casadi.export.compiled import compile_controller
-from necc_casadi.export.networks import LANES
+from necc_casadi.export.networks import GROUP
 from necc_casadi.export.templating import fill
 from necc_casadi.lyapunov.networks import MonotonePhi, Network
 from necc_casadi.lyapunov.parameterization import Form
@@ -26,7 +26,7 @@ SWEEP = """
 #include <stdlib.h>
 #include <string.h>
 typedef {real} necc_real;
-#define LANES {lanes}
+#define LANES 32
 #define R(literal) {literal}
 {function}
 static long double squareplus(long double x) {{ return (x + sqrtl(x * x + 4)) / 2; }}
@@ -76,7 +76,6 @@ def sweep(tmp_path, name, real, compiler, flags):
     typed = name if name == "squareplus" else f"{name}_{real}"
     source = SWEEP.format(
         real=real,
-        lanes=LANES[real],
         literal=f"literal##{number.suffix}" if number.suffix else "literal",
         function=fill(f"{typed}.c", sqrt=f"sqrt{number.suffix}"),
         name=name,
@@ -223,7 +222,7 @@ def test_the_self_test_passes_and_fails_when_a_weight_is_wrong(tmp_path, compile
     assert done.returncode == 0, done.stdout + done.stderr
     assert "0 failures" in done.stdout
     code = (tmp_path / "necc.c").read_text()
-    weight = f"hc_w2[{LANES[real] + 1}] = {{\n    "
+    weight = f"hc_w2[{GROUP + 1}] = {{\n    "
     assert weight in code
     (tmp_path / "necc.c").write_text(code.replace(weight, weight + "9 +"))
     assert build_and_run().returncode == 1

@@ -56,6 +56,23 @@ def test_bad_measurements_leave_zeta_alone(made):
         assert (flags, list(u), list(after)) == (2, [0.0] * m, kept)
 
 
+def test_float_keeps_what_rounding_takes_from_zeta(made):
+    """Steps far below the spacing of ζ add up."""
+    compiled, m = compile_controller(made, real="float"), made.loop.plant.m
+    y = np.concatenate([made.z_star[:m] + 0.25, np.zeros(m)])
+    zeta, dt, steps = np.full(m, 0.25), 1e-9 * made.units.time, 20_000
+    state = compiled._state([*made.xi_star, *zeta])
+    u = (compiled.real * m)()
+    rate = np.asarray(made.measured_controller.call([y, np.concatenate([made.xi_star, zeta])])[1])
+    rate, spacing = rate.ravel()[m:].astype(float), np.spacing(np.float32(0.25))
+    assert (np.abs(rate * dt) < spacing / 4).all()
+    for _ in range(steps):
+        compiled._function("step")(state, compiled._array(y, 2 * m), u, compiled.real(dt))
+    moved = np.array(list(state)[m : 2 * m]) - zeta
+    np.testing.assert_allclose(moved, (steps - 1) * dt * rate, rtol=1e-3, atol=spacing)
+    assert np.abs(moved).max() > 5 * spacing
+
+
 def test_the_code_leaves_no_offset(made):
     """The compiled controller beside the plant, under a constant force."""
     compiled, V = compile_controller(made), made.lyapunov

@@ -12,7 +12,10 @@ from helpers.export_cases import COMPILERS, design, paper_design, pendulum_loop
 
 from necc_casadi.export.c_project import export_c
 from necc_casadi.export.compiled import load_controller
+from necc_casadi.export.controller import c_networks
 from necc_casadi.export.matlab import export_mex
+from necc_casadi.export.operations import count_networks
+from necc_casadi.export.source import Source
 from necc_casadi.lyapunov.networks import MonotonePhi, Network
 from necc_casadi.lyapunov.parameterization import Form
 
@@ -64,10 +67,16 @@ if ARM:
         for name, d in sizes.items():
             export_c(d, tmp_path / f"{name}_float", real="float", measured=False)
         budget = {"d2": 50_000, "d1": 8_000}
+        counts = {
+            name: count_networks(c_networks(Source(d, "float")), "float")
+            for name, d in sizes.items()
+        }
         for name, level, (instructions, stack, flash, bss, same) in benchmark.cortex(tmp_path):
             assert same == "yes"
             assert int(bss) == 0
             assert int(stack) <= 1536
             assert int(flash) <= 30 * 1024
+            arithmetic = sum(n for each, n in counts[name].items() if each != "weights")
+            assert arithmetic < int(instructions) < 3 * arithmetic
             if level == "-O3":
                 assert int(instructions) <= budget[name]

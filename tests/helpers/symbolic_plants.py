@@ -11,7 +11,9 @@ import sympy as sp
 from necc_casadi.casimirs.find import find_casimirs
 from necc_casadi.model.closed_loop import interconnect
 from necc_casadi.model.controller import default_controller, make_controller
+from necc_casadi.model.model_file import load_model
 from necc_casadi.model.plant import make_plant
+from necc_casadi.model.target import target_from_model
 from necc_casadi.verdict.judge import judge
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -20,13 +22,16 @@ EXAMPLES = Path(__file__).parents[2] / "examples"
 def load(name, **options):
     """(plant, loop, target) of an example model file."""
     model = runpy.run_path(str(EXAMPLES / f"{name}.py"))
+    if "M" in model:  # J, R, G and H are the tool's own
+        made = load_model(EXAMPLES / f"{name}.py")
+        return made.loop.plant, made.loop, target_from_model(made.loop.plant, made.target)
     values = model.get("params", {})
     J, R, G, H = (sp.sympify(model[key]).subs(values) for key in "JRGH")
     plant = make_plant(model["x"], J, R, G, H, name=model["name"])
     controller = default_controller(plant)
     if "xi" in model and not options.get("integrators"):
         controller = make_controller(plant, *(model[key] for key in ("xi", "Jc", "Rc", "Gc")))
-    target = {s: sp.sympify(v) for s, v in model.get("target", {}).items()}
+    target = {s: sp.sympify(v).subs(values) for s, v in model.get("target", {}).items()}
     return plant, interconnect(plant, controller), target
 
 

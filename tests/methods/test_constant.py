@@ -239,6 +239,18 @@ def test_a_mode_that_no_input_reaches_and_that_grows_is_found():
     assert not uncontrollable_growth(A, sp.Matrix([1, 0, 0]))
 
 
+def test_pivot_friction_of_a_wheel_pendulum_leaves_no_constant_structure_and_that_is_proved():
+    """The dual certificate is on a face: rounded without that, it is none."""
+    theta, _, p, r = x = sp.symbols("theta phi p r", real=True)
+    speed = sp.Rational(5, 2) * (p - r)
+    f = [speed, 4 * r - speed, sp.sin(theta) - speed / 50, 0]
+    result, _ = structure_of(f, [0, 0, 0, 1], x, (0, 0, 0, 0))
+    assert isinstance(result, NoStructure)
+    assert result.proved
+    free, _ = structure_of([*f[:2], sp.sin(theta), 0], [0, 0, 0, 1], x, (0, 0, 0, 0))
+    assert isinstance(free, Matching)
+
+
 def test_a_nonlinearity_that_no_constant_structure_fits_is_refused_with_a_proof():
     """b₁₁ = 0 by symmetry, then b₁₂ + b₂₁ = 0 by dissipation, and S₁₁ = b₁₂ = 0."""
     x1, x2, x3 = x = sp.symbols("x1:4", real=True)

@@ -30,6 +30,7 @@ LONGER = {
     "pmsm": "modulated",
     "maglev_voltage": "constant",
     "cstr": "constant",
+    "induction_motor": "constant",
     "flexible_joint": "constant",
     "turbine_generator": "constant",
 }

@@ -203,3 +203,24 @@ def test_the_upright_cart_pole_is_certified(found):
     assert all(
         claims[name] for name in ("casimir", "structure", "decrease", "attraction", "region")
     )
+
+
+def test_no_direction_of_one_coordinate_lets_the_structure_fall_off_more_slowly():
+    """(ln g⊥b)′ = 2(g⊥′k + Γk²)/(g⊥(1, k)ᵀ) for every k of q_r, whose least exponent is known."""
+    t, c, gamma, w = sp.symbols("t c gamma w", positive=True)
+    beta, k, g, G = (sp.Function(name)(t) for name in ("beta", "k", "g", "Gamma"))
+    mu = 1 + g * k
+    rate = 2 * (sp.diff(g, t) * k + G * k**2) / mu
+    slope = sp.solve(sp.diff(beta * mu, t) - rate * beta * mu, sp.diff(beta, t))[0]
+    kinetic = (
+        beta * sp.diff(beta * mu, t) / 2 - beta * sp.diff(g, t) * k * beta - G * k**2 * beta**2
+    )
+    assert sp.simplify(kinetic.subs(sp.diff(beta, t), slope)) == 0
+    given = {g: c * sp.cos(t), G: gamma * sp.sin(t) * sp.cos(t), k: -w / (c * sp.cos(t))}
+    epsilon = gamma / c**2
+    f = 2 * (epsilon * w**2 + w) / (w - 1)
+    assert sp.simplify(rate.subs(given).doit() + f * sp.tan(t)) == 0
+    best = 1 + sp.sqrt(1 + 1 / epsilon)
+    assert sp.simplify(sp.diff(f, w).subs(w, best)) == 0
+    furuta = f.subs(w, best).subs({c: sp.Rational(85, 86), gamma: 1})
+    assert float(furuta) == pytest.approx(11.85, abs=0.01)

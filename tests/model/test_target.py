@@ -3,11 +3,12 @@
 import numpy as np
 import pytest
 import sympy as sp
-from helpers.symbolic_plants import load
+from helpers.symbolic_plants import EXAMPLES, load
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from necc_casadi.errors import TargetError
+from necc_casadi.model.model_file import load_model
 from necc_casadi.model.plant import make_plant
 from necc_casadi.model.target import (
     free_coordinates,
@@ -168,3 +169,17 @@ def test_a_target_with_every_state_given_solves_no_equations():
     del values["p_x"]
     assert target_from_model(plant, values) == dict.fromkeys(plant.x, 0)
     assert "equilibrium_equations" in vars(plant)
+
+
+def test_of_several_equilibria_that_fit_the_target_of_the_model_is_meant():
+    """The wheel's pendulum rests at 0 and at π whatever φ is; the file says which is meant."""
+    model = load_model(EXAMPLES / "inertia_wheel.py")
+    theta, phi = model.system.x[:2]
+    with pytest.raises(TargetError) as several:
+        parse_target(model.system, "phi=0")
+    assert several.value.code == "target_ambiguous"
+    meant = parse_target(model.system, "phi=0", model.target)
+    assert meant[theta] == meant[phi] == 0
+    with pytest.raises(TargetError):  # the file says nothing about this place
+        parse_target(model.system, "phi=1", model.target)
+    assert parse_target(model.system, "phi=1,theta=pi", model.target)[theta] == sp.pi

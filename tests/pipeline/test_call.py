@@ -227,3 +227,17 @@ def test_a_call_is_quiet(capsys):
     run(PENDULUM, "pi/4", check=True, say=lambda text: said.write(text + "\n"))
     assert capsys.readouterr() == ("", "")
     assert "judging the target" in said.getvalue()
+
+
+def test_a_target_from_a_float_is_shown_as_a_decimal():
+    result = run(PENDULUM, [1.3962634015954636, 0], check=True)
+    assert "q = 1.39626" in repr(result)
+    assert "q ≈ 1.39626 rad," in result.summary()
+    assert "q = pi/4 = 0.785398 rad," in run(PENDULUM, "pi/4", check=True).summary()
+
+
+def test_a_call_tells_the_logger_what_it_does(caplog, capsys):
+    with caplog.at_level("INFO", logger="necc_casadi"):
+        run(PENDULUM, "pi/4", check=True)
+    assert "judging the target" in caplog.text
+    assert capsys.readouterr().out == ""

@@ -6,7 +6,13 @@ import numpy as np
 import pytest
 from helpers import reference
 
-from necc_casadi.simulation.responses import Trajectory, default_horizon, random_states, simulate
+from necc_casadi.simulation.responses import (
+    Trajectory,
+    default_horizon,
+    random_states,
+    simulate,
+    slowest_decay,
+)
 
 
 @pytest.mark.parametrize("name", ["default", "paper", "beta-sum", "neural"])
@@ -102,3 +108,12 @@ def test_random_states_lie_in_the_middle_of_the_domain(any_design):
     middle, half = (lo + hi)[:n] / 2, (hi - lo)[:n] / 2
     assert np.all(np.abs(states - middle) <= half / 2)
     assert np.array_equal(states, random_states(any_design, 50, seed=1))
+
+
+def test_a_fast_winding_does_not_hide_how_slowly_its_load_decays():
+    load = [-792.0 + 3248j, -792.0 - 3248j]
+    assert slowest_decay(np.array([-3.7e7, -9127.0, *load])) == pytest.approx(792)
+    swinging = np.array([-0.01 + 1000j, -0.01 - 1000j])  # for thousands of its periods
+    assert slowest_decay(np.array([-5.0, *swinging])) == pytest.approx(5)
+    assert slowest_decay(np.array([-5.0, -1e-15])) == pytest.approx(5)
+    assert slowest_decay(np.array([1j, -1j])) == 0

@@ -26,6 +26,7 @@ from necc_casadi.certificate.checker.global_stability import check_global
 from necc_casadi.certificate.checker.input_limits import check_clipping, check_input_limits
 from necc_casadi.certificate.checker.integral import check_integral
 from necc_casadi.certificate.checker.measurement import check_measurement
+from necc_casadi.certificate.checker.members import check_members
 from necc_casadi.certificate.checker.model import StoredDesign
 from necc_casadi.certificate.checker.reading import (
     check_design,
@@ -94,13 +95,13 @@ def _of_family(
     found: Sequence[Checked],
 ) -> list[Checked]:
     """The claims about all of family.json, which falls as the design does."""
-    proofs = {"family": check_family, "everywhere": check_everywhere}
+    proofs = {"family": check_family, "everywhere": check_everywhere, "members": check_members}
     claimed = [name for name in proofs if evidence.claimed(name)]
     if not claimed:
         return []
     falls = any(result.name == "decrease" and result.holds for result in found)
-    members = StoredMembers(evidence, folder, own, plant, falls)
-    return [proofs[name](evidence, members) for name in claimed]
+    stored = StoredMembers(evidence, folder, own, plant, falls)
+    return [proofs[name](evidence, stored) for name in claimed]
 
 
 def _as_worded(evidence: Evidence, result: Checked) -> Checked:

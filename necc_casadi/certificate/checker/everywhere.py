@@ -29,7 +29,7 @@ from necc_casadi.certificate.checker.region.floor import evaluated, is_periodic,
 from necc_casadi.certificate.claims.everywhere import EverywhereClaim, everywhere
 from necc_casadi.symbolic.zero import is_zero
 
-__all__ = ["check_everywhere"]
+__all__ = ["StoredWhole", "check_everywhere"]
 
 
 #: Half a period, a little more than π; how often a box of states and ϑ, and one of ϑ, is halved.
@@ -42,60 +42,38 @@ def check_everywhere(evidence: Evidence, members: StoredMembers) -> Checked:
     units = dict(zip(evidence.model.states, evidence.model.units.state, strict=True))
     family = members.family
     text = everywhere(family.sides, claim.error, units, family.has_unknown, claim.follows)
-    whole = _Whole(evidence, members, claim)
+    whole = _Everywhere(evidence, members, claim)
     return Checked.by(
         "everywhere", text, [*members.obligations(claim.family), *whole.obligations()]
     )
 
 
-class _Whole:
-    """What has to be proved for all states and ϑ."""
+class StoredWhole:
+    """States y and momenta s of every member, and what holds wherever the states are."""
 
-    def __init__(self, evidence: Evidence, members: StoredMembers, claim: EverywhereClaim) -> None:
-        self.model, self.family, self.claim = evidence.model, members.family, claim
-        self.minima = Minima(members.family)
+    def __init__(self, evidence: Evidence, members: StoredMembers, active: Sequence[int]) -> None:
+        self.model, self.family, self.active = evidence.model, members.family, list(active)
         z, N = self.model.z, len(self.model.z)
-        shaped = sorted(set(claim.active)) == list(claim.active) and claim.active
-        if not shaped or not 0 <= claim.active[0] <= claim.active[-1] < N:
-            raise ValueError("everywhere: no list of states")
-        d = len(claim.active)
-        if len(claim.floor) != d or any(len(row) != d for row in claim.floor):
-            raise ValueError("everywhere: a floor of another size")
-        self.resting = [i for i in range(N) if i not in claim.active]
-        self.y, self.s = [z[i] for i in claim.active], [z[i] for i in self.resting]
-        self.F = arb_mat([list(row) for row in claim.floor])
+        shaped = sorted(set(active)) == list(active) and len(active) > 0
+        if not shaped or not 0 <= active[0] <= active[-1] < N:
+            raise ValueError("no list of states")
+        self.resting = [i for i in range(N) if i not in active]
+        self.y, self.s = [z[i] for i in active], [z[i] for i in self.resting]
         self.inertia = sp.hessian(self.family.H, self.s) if self.s else sp.zeros(0)
 
-    def obligations(self) -> list[Obligation]:
-        """One critical point of every V_ϑ, and all solutions bounded."""
+    def of_the_loop(self) -> list[Obligation]:
+        """Its form, its structure and its momenta."""
         form = self.model.form
         return [
             ("Φ is the sum H + Hc + K(c)", lambda: form["phi"] is None and not form["betas"]),
             ("the loop is of constant structure", self._is_constant),
-            ("everything is smooth for all states", self._is_smooth),
             ("the resting states are momenta of every member", self._has_momenta),
-            ("∂²H/∂p² ≻ 0 for all states and parameters", self._has_inertia),
-            ("∂²V/∂y² ⪰ F ≻ 0 for all states and parameters", self._is_convex),
-            ("how far from the set-point it rests", self._rests_within),
-            ("what follows for solutions", self._follows),
         ]
-
-    def _seen(self, entries: Sequence[sp.Expr]) -> list[sp.Expr]:
-        """Expressions at x̂ = x − x*(r) + x*(r₀), x anywhere: of where the plant is."""
-        pairs = zip(self.model.z, self.family.x_star, self.model.target, strict=False)
-        place = {s: s - v + t for s, v, t in pairs}
-        return [sp.sympify(e).subs(place, simultaneous=True) for e in entries]
 
     def _is_constant(self) -> bool:
         structure = sp.Matrix([*self.family.J, *self.family.R, *self.family.G])
         inner = self.model.Jcl - self.model.Rcl
         return not (structure.free_symbols | inner.free_symbols) & set(self.model.z)
-
-    def _is_smooth(self) -> bool:
-        family = self.family
-        written = [family.H, *family.J, *family.R, *family.G, *self.model.written]
-        within = dict(zip(family.symbols, family.box, strict=True))
-        return is_smooth_everywhere(self._seen(written), self.model.z, within)
 
     def _has_momenta(self) -> bool:
         s, H = self.s, self.family.H
@@ -106,6 +84,49 @@ class _Whole:
         flat = all(is_zero(sp.diff(a, v)) is True for a in self.inertia for v in s)
         level = all(is_zero(sp.diff(H, v).subs(zero)) is True for v in s)
         return plain and unseen and still and flat and level
+
+    def converges(self) -> bool:
+        """Whether no motion but rest keeps V constant, for any ϑ."""
+        member = self.family.as_design()
+        nowhere: Box = tuple((0.0, 0.0) for _ in self.model.z)
+        constants = OverBox((*self.model.z, *self.family.symbols), (*nowhere, *self.family.box))
+        return largest_invariant_set_is_critical(member, self.resting, None, constants)
+
+
+class _Everywhere(StoredWhole):
+    """What has to be proved for all states and ϑ."""
+
+    def __init__(self, evidence: Evidence, members: StoredMembers, claim: EverywhereClaim) -> None:
+        super().__init__(evidence, members, claim.active)
+        self.claim, self.minima = claim, Minima(members.family)
+        d = len(claim.active)
+        if len(claim.floor) != d or any(len(row) != d for row in claim.floor):
+            raise ValueError("everywhere: a floor of another size")
+        self.F = arb_mat([list(row) for row in claim.floor])
+
+    def obligations(self) -> list[Obligation]:
+        """One critical point of every V_ϑ, and all solutions bounded."""
+        stable = self.claim.follows == "stable"
+        return [
+            *self.of_the_loop(),
+            ("everything is smooth for all states", self._is_smooth),
+            ("∂²H/∂p² ≻ 0 for all states and parameters", self._has_inertia),
+            ("∂²V/∂y² ⪰ F ≻ 0 for all states and parameters", self._is_convex),
+            ("how far from the set-point it rests", self._rests_within),
+            ("what follows for solutions", lambda: stable or self.converges()),
+        ]
+
+    def _seen(self, entries: Sequence[sp.Expr]) -> list[sp.Expr]:
+        """Expressions at x̂ = x − x*(r) + x*(r₀), x anywhere: of where the plant is."""
+        pairs = zip(self.model.z, self.family.x_star, self.model.target, strict=False)
+        place = {s: s - v + t for s, v, t in pairs}
+        return [sp.sympify(e).subs(place, simultaneous=True) for e in entries]
+
+    def _is_smooth(self) -> bool:
+        family = self.family
+        written = [family.H, *family.J, *family.R, *family.G, *self.model.written]
+        within = dict(zip(family.symbols, family.box, strict=True))
+        return is_smooth_everywhere(self._seen(written), self.model.z, within)
 
     def _has_inertia(self) -> bool:
         return not self.s or self._holds(self.inertia, lambda A: positive(A, 0))
@@ -182,11 +203,3 @@ class _Whole:
             return bool(size.upper() <= allowed)
 
         return by_bisection(self.family.box, near, _RANGES, sizes=self.minima.reaches)
-
-    def _follows(self) -> bool:
-        if self.claim.follows == "stable":
-            return True
-        member = self.family.as_design()
-        nowhere: Box = tuple((0.0, 0.0) for _ in self.model.z)
-        constants = OverBox((*self.model.z, *self.family.symbols), (*nowhere, *self.family.box))
-        return largest_invariant_set_is_critical(member, self.resting, None, constants)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import hashlib
 import json
 import math
@@ -31,7 +30,7 @@ from necc_casadi.certificate.claims.family import FAMILY_FILE, FamilyBox, Family
 from necc_casadi.certificate.claims.regions import Side
 from necc_casadi.files import read_text
 
-__all__ = ["Minima", "StoredMembers", "check_family"]
+__all__ = ["Minima", "StoredMembers", "check_family", "covers"]
 
 
 #: Bytes of family.json, and boxes.
@@ -91,9 +90,10 @@ def check_family(evidence: Evidence, members: StoredMembers) -> Checked:
     minima = Minima(family)
     units = dict(zip(evidence.model.states, evidence.model.units.state, strict=True))
     worded = statement(family.sides, claim, units, family.has_unknown)
+    boxes = [box.theta for box in claim.boxes] + list(claim.left)
     obligations = [
         *members.obligations(claim.family),
-        ("the boxes, with those left out, cover the ranges", lambda: _cover(family.box, claim)),
+        ("the boxes, with those left out, cover the ranges", lambda: covers(family.box, boxes)),
         ("everything is smooth on the boxes", lambda: minima.smooth(claim.boxes)),
         ("the minimum is where it is claimed", lambda: all(map(minima.holds, claim.boxes))),
         ("the errors are those of the boxes", lambda: minima.within(claim)),
@@ -106,9 +106,7 @@ class Minima:
 
     def __init__(self, family: StoredFamily) -> None:
         self.family, self.model = family, family.model
-        nothing = copy.copy(self.model)
-        nothing.H = sp.Integer(0)
-        self.networks = Energy(nothing, range(len(self.model.z)))
+        self.networks = Energy(family.without_energy(), range(len(self.model.z)))
         x = self.model.z[: self.model.n]
         self.slope = slope = [sp.diff(family.H, s) for s in x]
         here = dict(zip(x, self.model.target, strict=True))
@@ -273,11 +271,10 @@ def _entry(hess: Mapping[tuple[int, int], arb], i: int, j: int) -> arb:
     return hess[min(i, j), max(i, j)]
 
 
-def _cover(whole: Box, claim: FamilyClaim) -> bool:
-    """Whether boxes hold every point of the ranges, or name it as left out."""
-    boxes = [box.theta for box in claim.boxes] + list(claim.left)
+def covers(whole: Box, boxes: Sequence[Box]) -> bool:
+    """Whether boxes hold every point of the ranges."""
     sized = all(len(box) == len(whole) for box in boxes)
-    return sized and 0 < len(boxes) <= _MOST_BOXES and _covered(whole, boxes)
+    return sized and 0 < len(boxes) <= _MOST_BOXES and _covered(whole, list(boxes))
 
 
 def _covered(region: Box, boxes: list[Box]) -> bool:

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import sympy as sp
-from flint import arb
+from flint import arb, arb_mat
 
 from necc_casadi.certificate.checker.arithmetic.balls import Box, ball, by_bisection, evaluate
 from necc_casadi.certificate.checker.arithmetic.potential import Energy
@@ -25,7 +25,7 @@ _DEPTH = 28
 class InputProof:
     """u = −A∇Hc − [D B] 𝒢ᵀ∇V over boxes, [D B] the first rows of 𝒟.
 
-    The momenta s are within ½ δ sᵀAs ≤ c_u − V(y, 0).
+    The momenta s are within ½ δ sᵀAs ≤ c_u − V(y, 0); u₀ is at most quadratic in them.
     """
 
     def __init__(
@@ -40,18 +40,22 @@ class InputProof:
         self.driven = [(k, i) for k, i in enumerate(energy.active) if any(self.seen.row(i))]
         s = [model.z[i] for i in self.resting]
         self.A = sp.hessian(model.H, s) if s else sp.zeros(0)
+        u0 = [] if model.ahead is None or not s else list(model.ahead.u0)
+        self.linear = [[sp.diff(u, v).subs(dict.fromkeys(s, 0)) for v in s] for u in u0]
+        self.bent = [sp.Matrix([[sp.diff(u, v, w) for w in s] for v in s]) for u in u0]
 
     def covered(self) -> bool:
-        """Whether the momenta enter u through Gᵀ Φ₁ A s alone."""
+        """Whether the momenta enter u through Gᵀ Φ₁ A s and a quadratic u₀ alone."""
         model, s = self.model, [self.model.z[i] for i in self.resting]
         if not s:
             return True
         coupled = any(self.A.has(model.z[i]) for _, i in self.driven)
         moved = self.seen.has(*s) or model.feedback.has(*s)
-        moved = moved or (
-            model.ahead is not None and sp.Matrix([*model.ahead.u0, *model.ahead.gain]).has(*s)
-        )
-        return not (coupled or moved or (self.driven and self.energy.phi is not None))
+        scaled = self.energy.phi is not None
+        if model.ahead is not None:
+            moved = moved or model.ahead.gain.has(*s) or any(N.has(*s) for N in self.bent)
+            moved = moved or (scaled and sp.Matrix(list(model.ahead.u0)).has(*s))
+        return not (coupled or moved or (self.driven and scaled))
 
     def kept(self, box: Box) -> bool:
         """Whether u is within the limits wherever V ≤ c_u over a box."""
@@ -75,7 +79,9 @@ class InputProof:
             damped = [_dot(given, row) for row in ports]
             u = base[k] - _dot(ahead[k], [_dot(row, slopes) for row in gain])
             u = u - sum((damped[i] * gradient[at] for at, i in self.driven), arb(0))
-            swing = self._swing([damped[i] for i in self.resting], stiff, room)
+            linear, bend = self._powers(k, values, stiff)
+            swing = self._swing([damped[i] for i in self.resting], stiff, room, linear)
+            swing = swing + bend * room.upper()
             if not (bool(u - swing > float(lo)) and bool(u + swing < float(hi))):
                 return False
         return True
@@ -86,12 +92,37 @@ class InputProof:
         if ahead is None:
             return [[arb(i == j) for j in range(m)] for i in range(m)], [arb(0)] * m
         gain = [[evaluate(e, values) for e in row] for row in ahead.gain.tolist()]
-        return gain, [evaluate(e, values) for e in ahead.u0]
+        at_rest = {self.model.z[i]: arb(0) for i in self.resting}
+        return gain, [evaluate(e, {**values, **at_rest}) for e in ahead.u0]
 
-    def _swing(self, w: list[arb], A: list[list[arb]], room: arb) -> arb:
-        """The most that Φ₁ wᵀAs can be."""
+    def _powers(
+        self, k: int, values: Mapping[sp.Symbol, arb], A: list[list[arb]]
+    ) -> tuple[list[arb], arb]:
+        """Of u₀ = … + bᵀs + ½ sᵀNs b, and a bound ρ of |sᵀNs|/sᵀAs: ρ² = tr (A⁻¹N)²."""
+        if k >= len(self.bent):
+            return [arb(0)] * len(self.resting), arb(0)
+        linear = [evaluate(e, values) for e in self.linear[k]]
+        if self.bent[k].is_zero_matrix:
+            return linear, arb(0)
+        N = arb_mat([[evaluate(e, values) for e in row] for row in self.bent[k].tolist()])
+        try:
+            share = arb_mat(A).solve(N)
+        except ZeroDivisionError:  # A is not proved regular on this box
+            return linear, arb("inf")
+        product = share * share
+        squares = sum((product[i, i] for i in range(len(self.resting))), arb(0)).upper()
+        return linear, squares.max(arb(0)).sqrt() if squares.is_finite() else arb("inf")
+
+    def _swing(self, w: list[arb], A: list[list[arb]], room: arb, b: list[arb]) -> arb:
+        """The most that Φ₁ wᵀAs − bᵀs can be."""
         form = sum((a * x * y for x, row in zip(w, A, strict=True)
                     for y, a in zip(w, row, strict=True)), arb(0))  # fmt: skip
+        if not all(entry.is_zero() for entry in b):
+            try:
+                moved = arb_mat(A).solve(arb_mat([[entry] for entry in b]))
+            except ZeroDivisionError:  # A is not proved regular on this box
+                return arb("inf")
+            form = form - 2 * _dot(w, b) + _dot(b, [moved[i, 0] for i in range(len(b))])
         most = (form * 2 * room.upper()).upper()
         if not most.is_finite():
             return arb("inf")
@@ -202,7 +233,7 @@ def _check(
             ("V(z̄) < c_u", lambda: bool(bottom < natural)),
             ("c_u is as high above V(z̄)", lambda: bool(bottom + height / unit <= natural)),
             ("c_u ≤ c", lambda: natural <= proof.level),
-            ("the momenta enter u through Gᵀ Φ₁ A s alone", inputs.covered),
+            ("the momenta enter u through Gᵀ Φ₁ A s and a quadratic u₀", inputs.covered),
             (
                 "u is within its limits where V ≤ c_u",
                 lambda: all(map(inputs.kept, proof.boxes(natural))),

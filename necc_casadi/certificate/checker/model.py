@@ -237,6 +237,11 @@ class StoredDesign:
         return result
 
     @property
+    def domain_sizes(self) -> list[float]:
+        """How far the domain reaches where the model names no bounds, halved; natural units."""
+        return self._scale.size
+
+    @property
     def delta(self) -> float:
         """A lower bound of Φ₁: the sum has 1, the neural form δ."""
         phi = self.form["phi"]

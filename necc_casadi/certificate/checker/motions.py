@@ -80,6 +80,19 @@ class _Forms:
         if lead is not None:
             self._rows[lead] = [v / left[lead] for v in left]
 
+    def within(self, columns: set[int]) -> list[Form]:
+        """A basis of the forms that are made of these columns alone."""
+        left = [list(row) for row in self._rows.values()]
+        for column in sorted({k for row in left for k in range(len(row))} - columns):
+            pivot = next((row for row in left if row[column]), None)
+            if pivot is None:
+                continue
+            left.remove(pivot)
+            for row in left:
+                share = row[column] / pivot[column]
+                row[:] = [a - share * b for a, b in zip(row, pivot, strict=True)]
+        return left
+
     def holds(self, form: Form, others: Iterable[Form] = ()) -> bool:
         """Whether a form is a combination of these and of others."""
         wider = _Forms([*self._rows.values(), *others])
@@ -134,6 +147,7 @@ class _Solution:
             "rate": (self._rate, 1), "steady": (self._steady, 1), "level": (self._level, 2),
             "convex": (self._convex, 0), "momentum": (self._momentum, 1),
             "inertia": (self._inertia, 2), "swing": (self._swing, 3), "placed": (self._placed, 0),
+            "linear": (self._linear, 0),
         }  # fmt: skip
         premises, count = rules[step.rule]
         states = step.states
@@ -143,6 +157,9 @@ class _Solution:
             self.steady.add(states[-1])
         elif step.rule == "placed":
             self.placed.update(states)
+        elif step.rule == "linear":
+            for form in self.forms.within(set(states)):
+                self.forms.add(self._rate_of(form))
         else:
             stopped = states if step.rule == "convex" else states[-1:]
             self.constant.update(stopped)
@@ -252,6 +269,25 @@ class _Solution:
         if not all(self._without_kinetics(i) and self._used(self.pull[i]) <= mine for i in plant):
             return False
         return all(self._used(c) <= mine for c in casimirs) and self._one_place(states)
+
+    def _linear(self, *states: int) -> bool:
+        """Whether ∂H/∂zᵢ are linear, with fractions as factors."""
+        rows = [self._bend(i) for i in states]
+        return all(i < self.model.n for i in states) and all(e.is_Rational for r in rows for e in r)
+
+    def _bend(self, i: int) -> list[sp.Expr]:
+        return [sp.diff(self.model.H, self.z[i], v) for v in self.z]
+
+    def _rate_of(self, form: Form) -> Form:
+        """Of Σ formᵢwᵢ, where Casimirs stay and so does what they add to w: ∇²H and ż = Jcl w."""
+        total = [Fraction(0)] * self.count
+        for i, share in enumerate(form):
+            if not share:
+                continue
+            for k, slope in enumerate(_fractions(sp.Matrix([self._bend(i)]))):
+                factor = share * slope
+                total = [t + factor * e for t, e in zip(total, self.rates[k], strict=True)]
+        return total
 
     def _one_place(self, states: Sequence[int]) -> bool:
         """Whether w in some states, a function of them, has a positive Jacobian."""

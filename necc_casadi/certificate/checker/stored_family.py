@@ -131,6 +131,17 @@ class StoredFamily:
         """Whether some parameters are not known."""
         return any(p.kind == "uncertain" for p in self.parameters)
 
+    def without_energy(self) -> StoredDesign:
+        """The design with H = 0: its networks and Casimirs."""
+        nothing = copy.copy(self.model)
+        nothing.H = sp.Integer(0)
+        return nothing
+
+    @property
+    def units_of_states(self) -> list[sp.Expr]:
+        """Natural units of the plant's states."""
+        return list(rationals(self.model.units.state[: self.model.n]))
+
     def as_design(self) -> StoredDesign:
         """The design with ϑ as symbols in its plant."""
         member, inner = copy.copy(self.model), cast(StoredInterconnection, self.model.loop)

@@ -24,8 +24,10 @@ Follows = Literal["converges", "invariant", "stable"]
 #: inertia (j, l): s_j = (A⁻¹)_jl w_l is constant, and the factor is a constant other than 0.
 #: swing (j, l, k): s_j = (A⁻¹)_jl w_l is constant, ż_k = αw_l, and the factor a function of z_k.
 #: placed (i, …): these states are constant, their w vanishes, and only z̄'s values make it vanish.
+#: linear (i, …): ∂H/∂zᵢ are linear in the plant's states; of a form in these wᵢ that vanishes the
+#: rate, a form in w by ż = Jcl w, vanishes too.
 Rule = Literal[
-    "rate", "steady", "level", "convex", "momentum", "inertia", "swing", "placed"
+    "rate", "steady", "level", "convex", "momentum", "inertia", "swing", "placed", "linear"
 ]  # fmt: skip
 
 

@@ -31,6 +31,7 @@ __all__ = [
     "NOT_MEASURED",
     "NO_FAMILY",
     "NO_INTEGRAL",
+    "NO_MEMBERS",
     "NO_MOMENTA",
     "NO_NEIGHBOURHOOD",
     "NO_REGION",
@@ -336,6 +337,9 @@ def not_global(missing: Missing) -> str:
     return f"no global claim: {missing}"
 
 
+NO_MEMBERS = "no regions are proved for the members of the family"
+
+
 def not_everywhere(missing: NotEverywhere) -> str:
     """Where not all states are proved for all of a family."""
     return f"no global claim of the family: {missing}"
@@ -362,6 +366,7 @@ def unproved(limits: Sequence[Sequence[float]]) -> Mapping[str, frozenset[str]]:
         "momenta": frozenset([NO_MOMENTA]),
         "setpoints": frozenset([NO_SETPOINTS, SETPOINTS_ARE_NOT_COVERED]),
         "family": frozenset(NO_FAMILY.values()),
+        "members": frozenset([NO_MEMBERS]),
         "everywhere": frozenset(map(not_everywhere, get_args(NotEverywhere))),
         "integral": frozenset([INTEGRAL_IS_NOT_COVERED, INTEGRAL_IS_TOO_SMALL, NO_INTEGRAL]),
         "sampled": frozenset(map(sampled_is_not_covered, get_args(NotSampled))),

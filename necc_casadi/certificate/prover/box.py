@@ -18,7 +18,7 @@ from necc_casadi.certificate.prover.arithmetic.boxes import subdivide
 from necc_casadi.certificate.prover.arithmetic.intervals import Interval, concatenate, point, stack
 from necc_casadi.designs.design import Design
 
-__all__ = ["BoxProof", "Terms", "beside", "searched"]
+__all__ = ["BoxProof", "Terms", "beside", "halved", "searched"]
 
 
 #: Half widths of the box that are tried, in natural units, widest first, and those of ξ̃ over e.
@@ -202,7 +202,7 @@ def _holds_on(terms: Terms, Z: Interval, half: Vector, test: _Test) -> bool:
             return True
         if not _tested(terms, point(left.mid), test).all():
             return False
-        Z = _halved(left, half)
+        Z = halved(left, half)
     return False
 
 
@@ -211,7 +211,8 @@ def _tested(terms: Terms, Z: Interval, test: _Test) -> Truth:
     return np.concatenate([test(terms.energy(Z[rows]), Z[rows]) for rows in parts])
 
 
-def _halved(Z: Interval, half: Vector) -> Interval:
+def halved(Z: Interval, half: Vector) -> Interval:
+    """Each box (B, d) in two, across its longest side by these sizes (d,)."""
     axis = ((Z.hi - Z.lo) / half).argmax(axis=1)
     rows, middle = np.arange(Z.shape[0]), Z.mid
     upper, lower = Z.lo.copy(), Z.hi.copy()

@@ -44,7 +44,7 @@ from necc_casadi.symbolic.derivatives import sparse_hessian
 from necc_casadi.symbolic.floats import to_float
 from necc_casadi.symbolic.zero import is_zero
 
-__all__ = ["prove_everywhere"]
+__all__ = ["Whole", "prove_everywhere"]
 
 
 #: Half a period, a little more than π.
@@ -75,14 +75,9 @@ def prove_everywhere(family: Family) -> Claim:
 
 
 def _proved(family: Family) -> EverywhereClaim | NotEverywhere:
-    if open_condition(family) is not None:
-        return "a condition of V falling is open for some of it"
-    whole = _Whole(family)
-    design = whole.minima.design
-    if design.form.phi is not None or design.form.betas:
-        return "only Φ = H + Hc + C with C = K(c) is covered"
-    if design.loop.M.free_symbols & set(design.loop.z):
-        return "J, R or G depend on the state"
+    whole = Whole(family)
+    if whole.missing is not None:
+        return whole.missing
     if not whole.is_smooth:
         return "energy, structure and Casimirs are not proved to be smooth for all states"
     if not (whole.has_momenta and whole.has_inertia):
@@ -97,7 +92,7 @@ def _proved(family: Family) -> EverywhereClaim | NotEverywhere:
 
 
 @dataclass(frozen=True, eq=False)
-class _Whole:
+class Whole:
     """What is to be proved for all states and ϑ, in natural units of the states."""
 
     family: Family
@@ -114,22 +109,47 @@ class _Whole:
         return tuple(i for i in range(self.minima.design.loop.n) if i not in resting)
 
     @cached_property
-    def _momenta(self) -> list[sp.Symbol]:
+    def momenta(self) -> list[sp.Symbol]:
+        """The other states, which rest at 0."""
         return [self.minima.design.loop.z[i] for i in self.family.design.momenta]
 
     @cached_property
-    def _y(self) -> list[sp.Symbol]:
+    def y(self) -> list[sp.Symbol]:
+        """The states that are left."""
         return [self.minima.design.loop.z[i] for i in self.active]
+
+    @cached_property
+    def potential(self) -> sp.Expr:
+        """U of y and ϑ."""
+        H = self.minima.design.loop.plant.H
+        return H.subs(dict.fromkeys(self.momenta, sp.Integer(0)))
+
+    @cached_property
+    def shift(self) -> list[sp.Expr]:
+        """x*(r) − x*(r₀), (n,)."""
+        units = self.family.design.units.state
+        return [
+            shift / sp.Rational(*float(unit).as_integer_ratio())
+            for shift, unit in zip(self.family.moved.shift, units, strict=False)
+        ]
+
+    @cached_property
+    def missing(self) -> NotEverywhere | None:
+        """What the loop lacks, wherever the states are."""
+        design = self.minima.design
+        if open_condition(self.family) is not None:
+            return "a condition of V falling is open for some of it"
+        if design.form.phi is not None or design.form.betas:
+            return "only Φ = H + Hc + C with C = K(c) is covered"
+        if design.loop.M.free_symbols & set(design.loop.z):
+            return "J, R or G depend on the state"
+        return None
 
     @cached_property
     def _place(self) -> dict[sp.Symbol, sp.Expr]:
         """x̂ → x − x*(r) + x*(r₀): no matter where in the space, the set-point drops out."""
-        plant = self.minima.design.loop.plant
-        units = self.family.design.units.state
-        return {
-            s: s - shift / sp.Rational(*float(unit).as_integer_ratio())
-            for s, shift, unit in zip(plant.x, self.family.moved.shift, units, strict=False)
-        }
+        x = self.minima.design.loop.plant.x
+        return {s: s - shift for s, shift in zip(x, self.shift, strict=True)}
 
     def _seen(self, entries: Sequence[sp.Expr]) -> list[sp.Expr]:
         """Expressions by where the plant is, not by its error."""
@@ -145,22 +165,22 @@ class _Whole:
         return is_smooth_everywhere(self._seen(written(design)), design.loop.z, sides)
 
     @cached_property
-    def _inertia(self) -> sp.Matrix:
+    def inertia(self) -> sp.Matrix:
         """A."""
-        return sp.Matrix(sparse_hessian(self.minima.design.loop.plant.H, self._momenta))
+        return sp.Matrix(sparse_hessian(self.minima.design.loop.plant.H, self.momenta))
 
     @cached_property
     def has_momenta(self) -> bool:
         """Whether Ĥ = ½sᵀA(y; ϑ)s + U(y; ϑ) for every ϑ."""
-        s, H = self._momenta, self.minima.design.loop.plant.H
-        flat = all(is_zero(sp.diff(a, v)) is True for a in set(self._inertia) for v in s)
+        s, H = self.momenta, self.minima.design.loop.plant.H
+        flat = all(is_zero(sp.diff(a, v)) is True for a in set(self.inertia) for v in s)
         at_rest = dict.fromkeys(s, sp.Integer(0))
         return flat and all(is_zero(sp.diff(H, v).subs(at_rest)) is True for v in s)
 
     @cached_property
     def has_inertia(self) -> bool:
         """Whether A ≻ 0."""
-        return not self._momenta or self._holds(self._inertia, positive_definite)
+        return not self.momenta or self._holds(self.inertia, positive_definite)
 
     # --- curvature --------------------------------------------------------------------------------
 
@@ -173,7 +193,7 @@ class _Whole:
             sharpest_floor(design.form.hc, of_hc),
             sharpest_floor(design.form.k, of_k),
         )
-        slopes = sp.Matrix([[sp.diff(c, s) for s in self._y] for c in design.casimirs.functions])
+        slopes = sp.Matrix([[sp.diff(c, s) for s in self.y] for c in design.casimirs.functions])
         N = matrix_enclosure(slopes, [], point(np.zeros((1, 0))))[0]
         total = matmul(Interval(N.lo.T, N.hi.T), matmul(K, N))
         lo, hi = (np.zeros(total.shape) for _ in range(2))
@@ -183,8 +203,7 @@ class _Whole:
     @cached_property
     def _bends(self) -> sp.Matrix:
         """∂²U/∂y²."""
-        U = self.minima.design.loop.plant.H.subs(dict.fromkeys(self._momenta, sp.Integer(0)))
-        return sp.Matrix(sparse_hessian(U, self._y))
+        return sp.Matrix(sparse_hessian(self.potential, self.y))
 
     @cached_property
     def floor(self) -> Vector | None:

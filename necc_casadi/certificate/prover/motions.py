@@ -152,7 +152,7 @@ class _Known:
         premises: dict[Rule, Callable[..., bool]] = {
             "rate": self._rate, "steady": self._steady, "level": self._level,
             "convex": self._convex, "momentum": self._momentum, "inertia": self._moves_inertia,
-            "swing": self._swing, "placed": self._placed,
+            "swing": self._swing, "placed": self._placed, "linear": self._linear,
         }  # fmt: skip
         return premises[step.rule](*step.states)
 
@@ -237,6 +237,37 @@ class _Known:
             return False
         return self._is_injective(states)
 
+    def _linear(self, *states: int) -> bool:
+        return bool(states) and set(states) <= set(self._stiff)
+
+    @cached_property
+    def _stiff(self) -> dict[int, list[fmpq]]:
+        """∇(∂H/∂zᵢ) of the plant's states i in which it is a constant vector of fractions."""
+        loop = self.design.loop
+        found = {}
+        for i in range(loop.plant.n):
+            slope = sp.diff(loop.plant.H, loop.z[i])
+            row = [sp.diff(slope, s) for s in loop.z]
+            if all(e.is_Rational for e in row):
+                found[i] = _exact(row)
+        return found
+
+    def _rates_of_zeros(self, states: Sequence[int]) -> list[list[fmpq]]:
+        """Rates of the forms that vanish and are made of the w of these states alone."""
+        count = self.design.loop.n
+        order = [i for i in range(count) if i not in states] + sorted(states)
+        if not self.zero:
+            return []
+        reduced, rank = fmpq_mat([[row[i] for i in order] for row in self.zero]).rref()
+        rates = []
+        for row in reduced.tolist()[:rank]:
+            form = dict(zip(order, row, strict=True))
+            if any(bool(form[i]) for i in range(count) if i not in states):
+                continue
+            slope = _combined([(form[i], self._stiff[i]) for i in states])
+            rates.append(_combined(list(zip(slope, self._rates, strict=True))))
+        return rates
+
     # --- values over the set ----------------------------------------------------------------------
 
     @cached_property
@@ -314,6 +345,8 @@ class _Known:
             self.steady.add(step.states[1])
         elif step.rule == "placed":
             self.placed |= set(step.states)
+        elif step.rule == "linear":
+            self.zero += self._rates_of_zeros(step.states)
         else:
             of = {"level": step.states[1:], "convex": step.states, "swing": step.states[2:]}
             for i in of.get(step.rule, step.states):
@@ -337,6 +370,9 @@ class _Known:
         free = [i for i in range(count) if i not in self.constant]
         yield from (Step("rate", (i,)) for i in free)
         yield from (Step("momentum", (i,)) for i in free if i in self.resting)
+        linear = tuple(self._stiff)
+        if not all(map(self.vanishes, self._rates_of_zeros(linear))):
+            yield Step("linear", linear)
         unsteady = [i for i in range(count) if i not in self.resting and i not in self.steady]
         yield from (Step("steady", (i,)) for i in unsteady)
         yield from (Step("level", (i, k)) for i in range(count) for k in free)
@@ -378,6 +414,13 @@ class _Known:
 
 def _exact(row: Sequence[sp.Expr]) -> list[fmpq]:
     return [fmpq(int(e.p), int(e.q)) for e in map(sp.Rational, row)]
+
+
+def _combined(parts: Sequence[tuple[fmpq, list[fmpq]]]) -> list[fmpq]:
+    """Σ factor · row."""
+    columns = zip(*(row for _, row in parts), strict=True)
+    factors = [factor for factor, _ in parts]
+    return [sum((f * e for f, e in zip(factors, c, strict=True)), fmpq(0)) for c in columns]
 
 
 def _rank(rows: list[list[fmpq]]) -> int:

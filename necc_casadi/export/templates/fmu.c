@@ -93,8 +93,9 @@ FUNCTION(fmi2Component, fmi2Instantiate, fmi2String name, int type, fmi2String g
 {
     instance *self;
     (void)name, (void)resources, (void)visible, (void)logging;
-    if (type != 1 || strcmp(guid, GUID) != 0)
+    if (type != 1 || strcmp(guid, GUID) != 0) {
         return NULL;
+    }
     self = functions->allocateMemory(1, sizeof *self);
     if (self != NULL) {
         self->allocate = functions->allocateMemory;
@@ -106,8 +107,9 @@ FUNCTION(fmi2Component, fmi2Instantiate, fmi2String name, int type, fmi2String g
 
 FUNCTION(void, fmi2FreeInstance, fmi2Component c)
 {
-    if (c != NULL)
+    if (c != NULL) {
         ((instance *)c)->release(c);
+    }
 }
 
 FUNCTION(fmi2Status, fmi2SetDebugLogging, fmi2Component c, fmi2Boolean on, size_t n,
@@ -134,10 +136,11 @@ FUNCTION(fmi2Status, fmi2ExitInitializationMode, fmi2Component c)
 {
     instance *self = c;
     self->flags = NECC_OK;
-    if (self->start_at_minimum)
+    if (self->start_at_minimum) {
         self->flags = necc_init_at(&self->state, self->x);
-    else
+    } else {
         self->flags = @start_otherwise@;
+    }
     return self->flags == NECC_OK ? fmi2OK : fmi2Warning;
 }
 
@@ -159,8 +162,9 @@ static int sample(const instance *self, necc_state *state, necc_real u[NECC_NU])
     int flags = necc_step(state, self->x, u, self->since);
 #if NECC_HAS_TARGET || NECC_HAS_PARAMETER
     int added = NECC_OK;
-    if (flags & NECC_REJECTED)
+    if (flags & NECC_REJECTED) {
         return flags;
+    }
     necc_set_switch(state, self->how);
 #if NECC_HAS_PARAMETER
     added |= necc_set_parameter(state, self->parameters);
@@ -206,30 +210,36 @@ FUNCTION(fmi2Status, fmi2GetReal, fmi2Component c, const fmi2ValueReference vr[]
     size_t i;
     for (i = 0; i < n; ++i) {
         const fmi2ValueReference r = vr[i];
-        if (r < NECC_NX)
+        if (r < NECC_NX) {
             value[i] = (double)self->x[r];
-        else if (r < NECC_NX + NECC_NU)
+        } else if (r < NECC_NX + NECC_NU) {
             value[i] = (double)u[r - NECC_NX];
-        else if (r < NECC_NX + NECC_NU + NECC_NXI)
+        } else if (r < NECC_NX + NECC_NU + NECC_NXI) {
             value[i] = (double)now.xi[r - NECC_NX - NECC_NU];
+        }
 #if NECC_HAS_INTEGRAL
-        else if (r < MARGIN)
+        else if (r < MARGIN) {
             value[i] = (double)now.zeta[r - ZETA];
+        }
 #endif
 #if NECC_HAS_MARGIN
-        else if (r == MARGIN)
+        else if (r == MARGIN) {
             value[i] = (double)necc_margin(&now, self->x);
+        }
 #endif
 #if NECC_HAS_TARGET
-        else if (r >= TARGETS && r < TARGETS + NECC_NR)
+        else if (r >= TARGETS && r < TARGETS + NECC_NR) {
             value[i] = (double)self->target[r - TARGETS];
+        }
 #endif
 #if NECC_HAS_PARAMETER
-        else if (r >= PARAMETERS && r < PARAMETERS + NECC_NTHETA)
+        else if (r >= PARAMETERS && r < PARAMETERS + NECC_NTHETA) {
             value[i] = (double)self->parameters[r - PARAMETERS];
+        }
 #endif
-        else
+        else {
             return fmi2Error;
+        }
     }
     return fmi2OK;
 }
@@ -252,8 +262,9 @@ FUNCTION(fmi2Status, fmi2SetReal, fmi2Component c, const fmi2ValueReference vr[]
             continue;
         }
 #endif
-        if (vr[i] >= NECC_NX)
+        if (vr[i] >= NECC_NX) {
             return fmi2Error;
+        }
         self->x[vr[i]] = (necc_real)value[i];
     }
     return fmi2OK;
@@ -264,8 +275,9 @@ FUNCTION(fmi2Status, fmi2GetInteger, fmi2Component c, const fmi2ValueReference v
 {
     size_t i;
     for (i = 0; i < n; ++i) {
-        if (vr[i] > 1)
+        if (vr[i] > 1) {
             return fmi2Error;
+        }
         value[i] = vr[i] == 0 ? ((const instance *)c)->flags : ((const instance *)c)->how;
     }
     return fmi2OK;
@@ -276,8 +288,9 @@ FUNCTION(fmi2Status, fmi2SetInteger, fmi2Component c, const fmi2ValueReference v
 {
     size_t i;
     for (i = 0; i < n; ++i) {
-        if (vr[i] != 1)
+        if (vr[i] != 1) {
             return fmi2Error;
+        }
         ((instance *)c)->how = value[i];
     }
     return fmi2OK;
@@ -288,8 +301,9 @@ FUNCTION(fmi2Status, fmi2GetBoolean, fmi2Component c, const fmi2ValueReference v
 {
     size_t i;
     for (i = 0; i < n; ++i) {
-        if (vr[i] != 0)
+        if (vr[i] != 0) {
             return fmi2Error;
+        }
         value[i] = ((const instance *)c)->start_at_minimum;
     }
     return fmi2OK;
@@ -300,8 +314,9 @@ FUNCTION(fmi2Status, fmi2SetBoolean, fmi2Component c, const fmi2ValueReference v
 {
     size_t i;
     for (i = 0; i < n; ++i) {
-        if (vr[i] != 0)
+        if (vr[i] != 0) {
             return fmi2Error;
+        }
         ((instance *)c)->start_at_minimum = value[i] != 0;
     }
     return fmi2OK;
@@ -320,10 +335,12 @@ NOTHING(fmi2SetString, const fmi2String)
 FUNCTION(fmi2Status, fmi2GetFMUstate, fmi2Component c, void **saved)
 {
     const instance *self = c;
-    if (*saved == NULL)
+    if (*saved == NULL) {
         *saved = self->allocate(1, sizeof *self);
-    if (*saved == NULL)
+    }
+    if (*saved == NULL) {
         return fmi2Error;
+    }
     memcpy(*saved, self, sizeof *self);
     return fmi2OK;
 }
@@ -336,8 +353,9 @@ FUNCTION(fmi2Status, fmi2SetFMUstate, fmi2Component c, void *saved)
 
 FUNCTION(fmi2Status, fmi2FreeFMUstate, fmi2Component c, void **saved)
 {
-    if (*saved != NULL)
+    if (*saved != NULL) {
         ((instance *)c)->release(*saved);
+    }
     *saved = NULL;
     return fmi2OK;
 }

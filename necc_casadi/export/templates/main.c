@@ -24,11 +24,13 @@ static void plant_step(necc_real x[NECC_NX], const necc_real u[NECC_NU], necc_re
     int i, stage;
     memcpy(next, x, sizeof next);
     for (stage = 0; stage < 4; ++stage) {
-        for (i = 0; i < NECC_NX; ++i)
+        for (i = 0; i < NECC_NX; ++i) {
             trial[i] = x[i] + dt * fraction[stage] * k[i];
+        }
         plant(trial, u, k);
-        for (i = 0; i < NECC_NX; ++i)
+        for (i = 0; i < NECC_NX; ++i) {
             next[i] += dt * weight[stage] / @six@ * k[i];
+        }
     }
     memcpy(x, next, sizeof next);
 }
@@ -36,8 +38,9 @@ static void plant_step(necc_real x[NECC_NX], const necc_real u[NECC_NU], necc_re
 static void print_row(const necc_real *values, int count)
 {
     int i;
-    for (i = 0; i < count; ++i)
+    for (i = 0; i < count; ++i) {
         printf(",%.@digits@g", (double)values[i]);
+    }
 }
 
 int main(int argc, char **argv)
@@ -47,8 +50,9 @@ int main(int argc, char **argv)
     necc_state state;
     long step, steps = argc > 1 ? strtol(argv[1], NULL, 10) : @steps@;
     int i, flags = NECC_OK;
-    for (i = 0; i < NECC_NX && i + 2 < argc; ++i)
+    for (i = 0; i < NECC_NX && i + 2 < argc; ++i) {
         y[i] = (necc_real)strtod(argv[i + 2], NULL);
+    }
     model_state(y, x);
     necc_start(&state, y);
     printf("@columns@\n");

@@ -13,21 +13,28 @@ necc_real necc_margin(const necc_state *state, const necc_real x[NECC_NX])
     necc_real parts[@ends@], W;
     shape_terms s;
     int i;
-    if (!all_finite(x, NECC_NX) || !all_finite(xi, NECC_NXI) || !all_finite(state->zeta, NECC_NU))
+    if (!all_finite(x, NECC_NX) || !all_finite(xi, NECC_NXI) || !all_finite(state->zeta, NECC_NU)) {
         return R(-1.0);
-    for (i = 0; i < NECC_NU; ++i)
-        if (!(x[i] - q_star[i] <= half[i] && q_star[i] - x[i] <= half[i]))
+    }
+    for (i = 0; i < NECC_NU; ++i) {
+        if (!(x[i] - q_star[i] <= half[i] && q_star[i] - x[i] <= half[i])) {
             return R(-1.0);
-    for (i = 0; i < NECC_NXI; ++i)
-        if (!(xi[i] - xi_bar[i] <= half[NECC_NU + i] && xi_bar[i] - xi[i] <= half[NECC_NU + i]))
+        }
+    }
+    for (i = 0; i < NECC_NXI; ++i) {
+        if (!(xi[i] - xi_bar[i] <= half[NECC_NU + i] && xi_bar[i] - xi[i] <= half[NECC_NU + i])) {
             return R(-1.0);
+        }
+    }
     shape(x, xi, &s);
     known_energy(x, parts);
     W = parts[0];
-    for (i = 1; i < @ends@; ++i)
+    for (i = 1; i < @ends@; ++i) {
         W = parts[i] > W ? parts[i] : W;
-    if (!all_finite(parts, @ends@))
+    }
+    if (!all_finite(parts, @ends@)) {
         return R(-1.0);
+    }
     W += s.value - @rest@;
     for (i = 0; i < NECC_NU; ++i) {
         const necc_real below = state->zeta[i] - low[i], above = high[i] - state->zeta[i];

@@ -17,18 +17,21 @@ static int marked(const necc_real x[NECC_NX], const necc_real xi[NECC_NXI])
         const necc_real share = (kept[axis] - lo[axis]) / side[axis];
         const necc_real scaled = share * @count@;
         @code@ index;
-        if (!(share >= R(0.0) && share <= R(1.0)))
+        if (!(share >= R(0.0) && share <= R(1.0))) {
             return 0;
+        }
         index = scaled < @count@ ? (@code@)scaled : @last@;
-        for (bit = 0; bit < @depth@; ++bit)
+        for (bit = 0; bit < @depth@; ++bit) {
             code |= ((index >> bit) & 1u) << (@axes@ * bit + axis);
+        }
     }
     while (high - low > 1) { /* the last run that begins at the code or before */
         const int middle = low + (high - low) / 2;
-        if (marked_runs[middle][0] <= code)
+        if (marked_runs[middle][0] <= code) {
             low = middle;
-        else
+        } else {
             high = middle;
+        }
     }
     return marked_runs[low][0] <= code && code <= marked_runs[low][1];
 }

@@ -20,8 +20,7 @@
 
 const int necc_dimensions[4] = {NECC_NX, NECC_NXI, NECC_NU, (int)sizeof(necc_real)};
 
-#define LANES @lanes@
-#define WIDTH @width@ /* the widest layer, in whole LANES */
+@sizes@
 #define R(literal) @literal@
 
 /* Weights, column by column. */
@@ -53,25 +52,35 @@ void necc_control(const necc_real x[NECC_NX], const necc_real xi[NECC_NXI],
     control_law(x, xi, @law_arguments@, u, xidot);
 }
 
+/* xi' alone. */
+static void rate(const necc_real x[NECC_NX], const necc_real xi[NECC_NXI],
+                 necc_real xidot[NECC_NXI])
+{
+    shape_terms s;
+    shape(x, xi, &s);
+    state_rate(x, xi, @law_arguments@, xidot);
+}
+
 static int all_finite(const necc_real *v, int count)
 {
     int i;
-    for (i = 0; i < count; ++i)
-        if (!isfinite(v[i]))
+    for (i = 0; i < count; ++i) {
+        if (!isfinite(v[i])) {
             return 0;
+        }
+    }
     return 1;
 }
 
 @integrator@
 
 @saturation@
-@integral@
 @seen@
 void necc_init(necc_state *state)
 {
     static const necc_real xi[NECC_NXI] = {@xi_star@};
-    memset(state, 0, sizeof *state);
-    memcpy(state->xi, xi, sizeof xi);@reset_target@
+    (void)memset(state, 0, sizeof *state);
+    (void)memcpy(state->xi, xi, sizeof xi);@reset_target@
 }
 
 @init_at@
@@ -80,25 +89,86 @@ int necc_start(necc_state *state, const necc_real x0[NECC_NX])
 @start@
 }
 
+/* sum += change, and rest keeps what rounding takes away from the sum (Knuth's sum of two). */
+static void accumulate(necc_real *sum, necc_real *rest, necc_real change)
+{
+    const necc_real due = change + *rest;
+    const necc_real next = *sum + due;
+    const necc_real moved = next - *sum;
+    *rest = (*sum - (next - moved)) + (due - moved);
+    *sum = next;
+}
+
+@integral@
+int necc_update(necc_state *state, necc_real dt)
+{
+    necc_state next;
+    necc_real change[NECC_NXI];
+    int i;
+    if (!(dt >= R(0.0)) || !isfinite(dt) || all_finite(state->xi, NECC_NXI) == 0) {
+        return NECC_REJECTED;
+    }
+    if (state->sampled == 0) {
+        return NECC_OK;
+    }
+    next = *state;
+    if (next.moved != 0) {
+        rate(next.x, next.xi, next.xidot);
+    }
+    advance(&next, dt, change);
+    for (i = 0; i < NECC_NXI; ++i) {
+        accumulate(&next.xi[i], &next.xi_rest[i], change[i]);
+    }
+    next.moved = 1;
+    @integrate@
+    if (all_finite(next.xi, NECC_NXI) == 0) {
+        return NECC_REJECTED;
+    }
+    *state = next;
+    return NECC_OK;
+}
+
+static void no_input(necc_real u[NECC_NU])
+{
+    int i;
+    for (i = 0; i < NECC_NU; ++i) {
+        u[i] = R(0.0);
+    }
+}
+
+int necc_output(necc_state *state, const necc_real x[NECC_NX], necc_real u[NECC_NU])
+{
+    necc_real v[NECC_NU], xidot[NECC_NXI];@counter@@held@
+    no_input(u);
+    if (all_finite(x, NECC_NX) == 0 || all_finite(state->xi, NECC_NXI) == 0) {
+        return NECC_REJECTED;
+    }
+    @see@necc_control(@at@, state->xi, v, xidot);@subtract@@forward@
+    if (all_finite(v, NECC_NU) == 0 || all_finite(xidot, NECC_NXI) == 0) {
+        return NECC_REJECTED;
+    }
+    (void)memcpy(state->x, @at@, sizeof state->x);
+    (void)memcpy(state->xidot, xidot, sizeof xidot);
+    state->sampled = 1;
+    state->moved = 0;
+    (void)memcpy(u, v, sizeof v);
+    return @saturate@;
+}
+
 int necc_step(necc_state *state, const necc_real x[NECC_NX], necc_real u[NECC_NU], necc_real dt)
 {
-    necc_real v[NECC_NU], next[NECC_NXI], rate[NECC_NXI];@counter@@held@
-    memset(u, 0, NECC_NU * sizeof *u);
-    if (!(dt >= R(0.0)) || !isfinite(dt) || !all_finite(x, NECC_NX) || !all_finite(state->xi, NECC_NXI))
-        return NECC_REJECTED;
-    memcpy(next, state->xi, sizeof next);@keep@
-    if (state->sampled) {
-        advance(state, dt, next);@integrate@
+    necc_state next;
+    int flags;
+    no_input(u);
+    next = *state;
+    flags = necc_update(&next, dt);
+    if (flags == NECC_OK) {
+        flags = necc_output(&next, x, u);
     }
-    @see@necc_control(@at@, next, v, rate);@subtract@@forward@
-    if (!all_finite(v, NECC_NU) || !all_finite(next, NECC_NXI) || !all_finite(rate, NECC_NXI))
-        return NECC_REJECTED;
-    memcpy(state->xi, next, sizeof next);@store@
-    memcpy(state->x, @at@, sizeof state->x);
-    memcpy(state->xidot, rate, sizeof rate);
-    state->sampled = 1;
-    memcpy(u, v, sizeof v);
-    return @saturate@;
+    if ((flags & NECC_REJECTED) == 0) {
+        *state = next;
+    }
+    return flags;
 }
 
 @target@

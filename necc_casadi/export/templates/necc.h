@@ -35,8 +35,10 @@ typedef @real@ necc_real;
 typedef struct {
     necc_real xi[NECC_NXI];@zeta@@r@
     necc_real x[NECC_NX]; /* of the last sample, as the law takes it */
-    necc_real xidot[NECC_NXI]; /* at (x, xi) */
+    necc_real xidot[NECC_NXI]; /* at (x, xi) of the last sample */
+    necc_real xi_rest[NECC_NXI]; /* what rounding leaves of xi: its value is xi + xi_rest */@zeta_rest@
     int sampled; /* 0 before the first sample */
+    int moved; /* whether xi has been advanced since xidot */
 } necc_state;
 
 /* Flags that a function returns, added; 0 when there is nothing to report. */
@@ -62,10 +64,18 @@ int necc_start(necc_state *state, const necc_real x0[NECC_NX]);
 void necc_control(const necc_real x[NECC_NX], const necc_real xi[NECC_NXI],
                   necc_real u[NECC_NU], necc_real xidot[NECC_NXI]);
 
-/* One sample: xi advances over dt with the x of the last sample held (@integrator_name@),
- * then u from the measured x and this xi. Apply u until the next sample. dt is the time since the
- * last sample, 0 at the first, where nothing advances; a rejected call is no sample. The dynamics
- * of xi use x alone, so that a clipped u does not wind them up. */
+/* u from the measured x and the present xi: apply it until the next sample. */
+int necc_output(necc_state *state, const necc_real x[NECC_NX], necc_real u[NECC_NU]);
+
+/* xi advances over dt with the x of the last sample held (@integrator_name@); before the
+ * first sample nothing does. The dynamics of xi use x alone, so that a clipped u does not wind
+ * them up. What rounding takes away from xi is kept and added the next time. */
+int necc_update(necc_state *state, necc_real dt);
+
+/* One sample: necc_update over dt, then necc_output. dt is the time since the last sample, 0 at the
+ * first, where nothing advances; a rejected call changes nothing and is no sample.
+ * Where the time to the next sample is known, u need not wait for xi: the same values come of
+ * necc_output, u applied, and then necc_update over the time that the sample is going to last. */
 int necc_step(necc_state *state, const necc_real x[NECC_NX], necc_real u[NECC_NU], necc_real dt);
 
 @set_target@

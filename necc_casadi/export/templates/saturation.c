@@ -7,8 +7,9 @@ static int saturate(necc_real u[NECC_NU])
     for (i = 0; i < NECC_NU; ++i) {
         const necc_real v = u[i];
         u[i] = v < low[i] ? low[i] : v > high[i] ? high[i] : v;
-        if (v < low[i] || v > high[i])
+        if (v < low[i] || v > high[i]) {
             flags = NECC_SATURATED;
+        }
     }
     return flags;
 }

@@ -4,27 +4,32 @@ int necc_set_parameter(necc_state *state, const necc_real theta[NECC_NTHETA])
 {
     static const necc_real low[NECC_NTHETA] = {@least@};
     static const necc_real high[NECC_NTHETA] = {@most@};
-    necc_real x[NECC_NX], xi[NECC_NXI];
     int i, covered = 1;
-    if (!all_finite(theta, NECC_NTHETA))
+    if (!all_finite(theta, NECC_NTHETA)) {
         return NECC_REJECTED;
-    for (i = 0; i < NECC_NTHETA; ++i)
-        if (!(theta[i] >= low[i] && theta[i] <= high[i]))
-            return NECC_OUTSIDE;
-    if (memcmp(theta, state->theta, sizeof state->theta) == 0)
-        return NECC_OK;
-    if (state->sampled) {
-        unseen(state->x, state->r, x);
-        if (admits(state, x, state->r, theta, xi))
-            memcpy(state->xi, xi, sizeof state->xi);
-        else
-            covered = share_of_level(state->x, state->xi, state->r, theta) <= R(1.0);
     }
-    memcpy(state->theta, theta, sizeof state->theta);
+    for (i = 0; i < NECC_NTHETA; ++i) {
+        if (!(theta[i] >= low[i] && theta[i] <= high[i])) {
+            return NECC_OUTSIDE;
+        }
+    }
+    if (same(theta, state->theta, NECC_NTHETA) != 0) {
+        return NECC_OK;
+    }
+    if (state->sampled != 0) {
+        necc_real x[NECC_NX], xi[NECC_NXI];
+        unseen(state->x, state->r, x);
+        if (admits(state, x, state->r, theta, xi) != 0) {
+            take(state, x, state->r, xi);
+        } else {
+            covered = share_of_level(state->x, state->xi, state->r, theta) <= R(1.0);
+        }
+    }
+    (void)memcpy(state->theta, theta, sizeof state->theta);
     return covered ? NECC_OK : NECC_UNCOVERED;
 }
 
 void necc_get_parameter(const necc_state *state, necc_real theta[NECC_NTHETA])
 {
-    memcpy(theta, state->theta, sizeof state->theta);
+    (void)memcpy(theta, state->theta, sizeof state->theta);
 }

@@ -6,34 +6,32 @@
 static void activate_sin(necc_real *restrict a, necc_real *restrict slope)
 {
     const float shift = 12582912.0f;
-    float r[LANES], scale[LANES];
-    uint32_t bits[LANES];
     int k, large = 0;
-    for (k = 0; k < LANES; ++k)
-        large |= fabsf(a[k]) > 5000.0f;
-    if (large) {
+    for (k = 0; k < LANES; ++k) {
+        large |= (fabsf(a[k]) > 5000.0f) ? 1 : 0;
+    }
+    if (large != 0) {
         for (k = 0; k < LANES; ++k) {
             slope[k] = cosf(a[k]);
             a[k] = sinf(a[k]);
         }
         return;
     }
-    for (k = 0; k < LANES; ++k)
-        scale[k] = a[k] * 0.63661975f + shift;
-    memcpy(bits, scale, sizeof bits);
     for (k = 0; k < LANES; ++k) {
-        const float n = scale[k] - shift;
-        r[k] = ((a[k] - n * 1.5703125f) - n * 0.0004837513f) - n * 7.54979e-08f;
-    }
-    for (k = 0; k < LANES; ++k) {
-        const float s = r[k] * r[k];
-        const float sine = r[k] + r[k] * s * (-1.0f / 6.0f + s * (1.0f / 120.0f
+        union { float number; uint32_t bits; } scale;
+        const float rounded = a[k] * 0.63661975f + shift;
+        const float n = rounded - shift;
+        const float r = ((a[k] - n * 1.5703125f) - n * 0.0004837513f) - n * 7.54979e-08f;
+        const float s = r * r;
+        const float sine = r + r * s * (-1.0f / 6.0f + s * (1.0f / 120.0f
             + s * (-1.0f / 5040.0f + s * (1.0f / 362880.0f))));
         const float cosine = 1.0f + s * (-1.0f / 2.0f + s * (1.0f / 24.0f + s * (-1.0f / 720.0f
             + s * (1.0f / 40320.0f))));
-        const float value = (bits[k] & 1u) != 0 ? cosine : sine;
-        const float other = (bits[k] & 1u) != 0 ? sine : cosine;
-        a[k] = (bits[k] & 2u) != 0 ? -value : value;
-        slope[k] = ((bits[k] + 1u) & 2u) != 0 ? -other : other;
+        float value, other;
+        scale.number = rounded;
+        value = (scale.bits & 1u) != 0u ? cosine : sine;
+        other = (scale.bits & 1u) != 0u ? sine : cosine;
+        a[k] = (scale.bits & 2u) != 0u ? -value : value;
+        slope[k] = ((scale.bits + 1u) & 2u) != 0u ? -other : other;
     }
 }

@@ -8,12 +8,16 @@ static necc_real share_of_level(const necc_real at[NECC_NX], const necc_real xi[
     necc_real E[1];
     shape_terms s;
     int i;
-    for (i = 0; i < NECC_NR; ++i)
-        if (!(at[i] - r_star[i] <= half[i] && r_star[i] - at[i] <= half[i]))
+    for (i = 0; i < NECC_NR; ++i) {
+        if (!(at[i] - r_star[i] <= half[i] && r_star[i] - at[i] <= half[i])) {
             return @infinite@;
-    for (i = 0; i < NECC_NXI; ++i)
-        if (!(xi[i] - xi_star[i] <= half[NECC_NR + i] && xi_star[i] - xi[i] <= half[NECC_NR + i]))
+        }
+    }
+    for (i = 0; i < NECC_NXI; ++i) {
+        if (!(xi[i] - xi_star[i] <= half[NECC_NR + i] && xi_star[i] - xi[i] <= half[NECC_NR + i])) {
             return @infinite@;
+        }
+    }
     shape(at, xi, &s);
     energy_above(at, r@theta@, E);
     E[0] += s.value - @rest@;
@@ -26,10 +30,12 @@ static int eliminated(necc_real A[NECC_NU][NECC_NU + 1])
     int i, j, k;
     for (k = 0; k < NECC_NU; ++k) {
         int pivot = k;
-        for (i = k + 1; i < NECC_NU; ++i)
+        for (i = k + 1; i < NECC_NU; ++i) {
             pivot = @fabs@(A[i][k]) > @fabs@(A[pivot][k]) ? i : pivot;
-        if (!(@fabs@(A[pivot][k]) > R(0.0)))
+        }
+        if (!(@fabs@(A[pivot][k]) > R(0.0))) {
             return 0;
+        }
         for (j = k; j <= NECC_NU; ++j) {
             const necc_real held = A[k][j];
             A[k][j] = A[pivot][j];
@@ -37,12 +43,14 @@ static int eliminated(necc_real A[NECC_NU][NECC_NU + 1])
         }
         for (i = 0; i < NECC_NU; ++i) {
             const necc_real share = A[i][k] / A[k][k];
-            for (j = k; i != k && j <= NECC_NU; ++j)
+            for (j = k; i != k && j <= NECC_NU; ++j) {
                 A[i][j] -= share * A[k][j];
+            }
         }
     }
-    for (k = 0; k < NECC_NU; ++k)
+    for (k = 0; k < NECC_NU; ++k) {
         A[k][NECC_NU] /= A[k][k];
+    }
     return 1;
 }
 
@@ -63,24 +71,29 @@ static int bumpless(const necc_real before[NECC_NX], const necc_real at[NECC_NX]
             A[i][NECC_NU] = wanted[i] - added[i] - u[i];
             off += @fabs@(A[i][NECC_NU]) / (u_size[i] + @fabs@(wanted[i]));
         }
-        if (!(off > @close@))
+        if (!(off > @close@)) {
             return 1;
+        }
         for (j = 0; j < NECC_NXI; ++j) {
             const necc_real h = @cbrt_eps@ * (xi_size[j] + @fabs@(xi[j]));
-            memcpy(trial, xi, sizeof trial);
+            (void)memcpy(trial, xi, sizeof trial);
             trial[j] = xi[j] + h;
             necc_control(at, trial, up, unused);
             trial[j] = xi[j] - h;
             necc_control(at, trial, down, unused);
-            for (i = 0; i < NECC_NU; ++i)
+            for (i = 0; i < NECC_NU; ++i) {
                 A[i][j] = (up[i] - down[i]) / (h + h);
+            }
         }
-        if (!eliminated(A))
+        if (!eliminated(A)) {
             return 0;
-        for (j = 0; j < NECC_NXI; ++j)
+        }
+        for (j = 0; j < NECC_NXI; ++j) {
             xi[j] += A[j][NECC_NU];
-        if (!all_finite(xi, NECC_NXI))
+        }
+        if (!all_finite(xi, NECC_NXI)) {
             return 0;
+        }
     }
     return 0;
 }
@@ -89,21 +102,52 @@ static int bumpless(const necc_real before[NECC_NX], const necc_real at[NECC_NX]
 static int admits(const necc_state *state, const necc_real x[NECC_NX],
                   const necc_real r[NECC_NR]@theta_parameter@, necc_real xi[NECC_NXI])
 {
-    necc_real before[NECC_NX], at[NECC_NX], added[NECC_NU], now[NECC_NU];
-    int i;
-    memcpy(xi, state->xi, sizeof state->xi);
+    necc_real at[NECC_NX];
+    (void)memcpy(xi, state->xi, sizeof state->xi);
     seen(x, r, at);
     if (state->how == NECC_SWITCH_BUMPLESS) {
+        necc_real before[NECC_NX], added[NECC_NU], now[NECC_NU];
+        int i;
         seen(x, state->r, before);
         forward(state->r@theta_of_state@, now);
         forward(r@theta@, added);
-        for (i = 0; i < NECC_NU; ++i)
+        for (i = 0; i < NECC_NU; ++i) {
             added[i] -= now[i];
-        if (!bumpless(before, at, added, xi))
+        }
+        if (!bumpless(before, at, added, xi)) {
             return 0;
-    } else if (state->how == NECC_SWITCH_LEAST)
+        }
+    } else if (state->how == NECC_SWITCH_LEAST) {
         (void)least_over_xi(at, xi);
+    } else {
+        /* xi stays */
+    }
     return share_of_level(at, xi, r@theta@) <= R(1.0);
+}
+
+static int same(const necc_real *a, const necc_real *b, int count)
+{
+    int i;
+    for (i = 0; i < count; ++i) {
+        if (!(a[i] >= b[i] && a[i] <= b[i])) {
+            return 0;
+        }
+    }
+    return 1;
+}
+
+/* r and xi are taken at x. Where xi jumps, it goes on from there: nothing that rounding left of the
+ * old one is added to it, and its rate is that of what the law sees now. */
+static void take(necc_state *state, const necc_real x[NECC_NX], const necc_real r[NECC_NR],
+                 const necc_real xi[NECC_NXI])
+{
+    if (same(xi, state->xi, NECC_NXI) == 0) {
+        (void)memcpy(state->xi, xi, sizeof state->xi);
+        (void)memset(state->xi_rest, 0, sizeof state->xi_rest);
+        seen(x, r, state->x);
+        state->moved = 1;
+    }
+    (void)memmove(state->r, r, sizeof state->r);
 }
 
 void necc_set_switch(necc_state *state, int how)
@@ -115,8 +159,9 @@ void necc_set_switch(necc_state *state, int how)
 necc_real necc_margin(const necc_state *state, const necc_real x[NECC_NX])
 {
     necc_real at[NECC_NX], share;
-    if (!all_finite(x, NECC_NX) || !all_finite(state->xi, NECC_NXI))
+    if (!all_finite(x, NECC_NX) || !all_finite(state->xi, NECC_NXI)) {
         return R(-1.0);
+    }
     seen(x, state->r, at);
     share = share_of_level(at, state->xi, state->r@theta_of_state@);
     return isfinite(share) ? R(1.0) - share : R(-1.0);

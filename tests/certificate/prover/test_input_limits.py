@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import sympy as sp
 from helpers.constructed import (
     full_damping,
     make_design,
@@ -27,6 +28,7 @@ from necc_casadi.errors import OutputError
 from necc_casadi.lyapunov.networks import MonotonePhi, Network
 from necc_casadi.lyapunov.parameterization import Form
 from necc_casadi.model.closed_loop import interconnect
+from necc_casadi.model.control_affine import Preliminary
 from necc_casadi.simulation.responses import simulate
 
 #: Together longer than the quick suite can afford; CI runs them.
@@ -52,6 +54,22 @@ def coupled(*pairs) -> Design:
     """The same with a full damping: u sees ∂V/∂ξ too."""
     made = spring(*pairs)
     return dataclasses.replace(made, damping=full_damping(made.damping))
+
+
+def fed_ahead(*pairs) -> Design:
+    """The spring under u = p² + p/2 + ũ: the momentum enters u squared, and beside the damping."""
+    plant = mechanical(lambda q, p: (p**2 + q**2) / 2, 1)
+    u0 = sp.ImmutableMatrix([plant.x[1] ** 2 + plant.x[1] / 2])
+    one = sp.ImmutableMatrix([[1]])
+    ahead = Preliminary(plant.flow - plant.G * u0, plant.G, u0, one)
+    made = make_design(
+        dataclasses.replace(plant, preliminary=ahead),
+        (0, 0),
+        QUADRATIC,
+        [0, 0, 1.0, 0, 0, 0, 1.0, 0],
+        [0.0],
+    )
+    return limited(made, *pairs)
 
 
 def chain(*pairs) -> Design:
@@ -133,6 +151,36 @@ def test_level_of_the_pendulum_is_close_to_the_largest():
     assert 0.97 * (least - bottom) < certificate.level_u - bottom <= least - bottom
 
 
+@pytest.mark.parametrize("limits", [(-0.5, 9.0), (-9.0, 0.5), (-3.0, 20.0)])
+def test_momenta_in_what_is_fed_ahead_are_bounded_by_the_room_below_the_level(limits):
+    """For each q and p the states with V ≤ c have the ξ = q/2 ± √(c − p²/2 − 3q²/4)."""
+    design = limited(fed_ahead(), limits)
+    certificate = certify(design)
+    assert limits_claim(certificate).holds
+    assert design.control([0.0, 2.0], [0.0])[0][0] == pytest.approx(4 + 1 - 10)
+
+    def range_of_u(level):
+        q, p = np.meshgrid(*[np.linspace(-1, 1, 801) * np.sqrt(2 * level)] * 2)
+        left = level - p**2 / 2 - 3 * q**2 / 4
+        root = np.sqrt(np.where(left >= 0, left, np.nan))
+        u = [p**2 + p / 2 - 5 * p - q / 2 - sign * root for sign in (1, -1)]
+        return float(np.nanmin(u)), float(np.nanmax(u))
+
+    for share, keeps in ((1.0, True), (2.5, False)):
+        low, high = range_of_u(share * certificate.level_u)
+        assert (limits[0] <= low and high <= limits[1]) is keeps
+
+
+def test_nothing_is_claimed_where_a_higher_power_of_momenta_is_fed_ahead():
+    design = fed_ahead((-9.0, 9.0))
+    ahead = design.loop.plant.preliminary
+    u0 = sp.ImmutableMatrix([design.loop.plant.x[1] ** 3])
+    cubic = dataclasses.replace(ahead, u0=u0, f=design.loop.plant.flow - ahead.g * u0)
+    plant = dataclasses.replace(design.loop.plant, preliminary=cubic)
+    changed = dataclasses.replace(design, loop=interconnect(plant, design.loop.controller))
+    assert not limits_claim(certify(changed)).holds
+
+
 def test_neural_phi_and_networks_keep_the_bound():
     design = neural()
     certificate = certify(design)
@@ -184,13 +232,15 @@ def test_simulation_of_a_network_never_exceeds_the_limits():
 
 
 @pytest.fixture(
-    scope="module", params=["spring", "coupled", "pendulum", "network", "neural", "chain"]
+    scope="module",
+    params=["spring", "coupled", "fed_ahead", "pendulum", "network", "neural", "chain"],
 )
 def folder(request, tmp_path_factory):
     folder = tmp_path_factory.mktemp(request.param)
     design = {
         "spring": lambda: spring((-1.5, 9.0)),
         "coupled": lambda: coupled((-1.5, 9.0)),
+        "fed_ahead": lambda: fed_ahead((-1.5, 9.0)),
         "pendulum": lambda: limited(quadratic_pendulum(), (-2.5, 1.0)),
         "network": lambda: limited(trained_like_pendulum(quadratic=True), (-2.0, 2.0)),
         "neural": neural,

@@ -20,7 +20,7 @@ from necc_casadi.certificate.prover.motions import no_motion_without_loss
 from necc_casadi.lyapunov.networks import Network
 from necc_casadi.lyapunov.parameterization import Form
 from necc_casadi.model.closed_loop import interconnect
-from necc_casadi.model.controller import make_controller
+from necc_casadi.model.controller import default_controller, make_controller
 from necc_casadi.model.model_file import load_model
 from necc_casadi.model.plant import make_plant
 
@@ -123,6 +123,47 @@ def test_a_rotor_that_does_not_feel_the_cart_is_not_claimed():
     end = simulated(design, start, 50.0)
     assert design.V(end) > design.V(design.z_bar) + 0.5 * (design.V(start) - design.V(design.z_bar))
     assert not replayed(design, both(tora()))
+
+
+def random_chain(seed):
+    """Two coupled oscillators with one input, some of them damped."""
+    rng = np.random.default_rng(seed)
+    a, b, c = map(int, rng.integers(1, 4, 3))
+    damped = [int(d) for d in rng.integers(0, 2, 2) * rng.integers(0, 2, 2)]
+    same, apart = rng.integers(0, 2, 2)
+    coupling = 0 if apart else c
+    plant = mechanical(
+        lambda q1, q2, p1, p2: (
+            (p1**2 + p2**2 + a * q1**2 + (a if same else b) * q2**2 + coupling * (q1 - q2) ** 2) / 2
+        ),
+        2,
+        inputs=[0],
+        R=sp.diag(0, 0, *damped),
+    )
+    return held(interconnect(plant, default_controller(plant)), (0, 0, 0, 0), [0.0])
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_of_linear_plants_it_is_the_test_of_observability(seed):
+    """Where a motion without loss is left, an eigenvalue of the loop is on the axis."""
+    design = random_chain(seed)
+    steps = both(design, box=False)
+    decays = np.linalg.eigvals(design.lyapunov.linearisation(design.z_bar)).real.max() < -1e-9
+    assert (steps is not None) == decays
+
+
+def test_both_kinds_of_linear_plants_are_among_those():
+    decay = [both(random_chain(seed), box=False) is not None for seed in range(12)]
+    assert 2 < sum(decay) < 11
+
+
+def test_a_rate_is_taken_of_linear_entries_alone():
+    """H of the hanging cart-pole is no quadratic of θ, nor of its momenta."""
+    design = cart_pole()
+    x, theta, p_x, p_theta, xi = range(5)
+    for states in [(theta,), (p_x,), (p_theta,), (xi,), (x, theta)]:
+        assert not replayed(design, [Step("linear", states), *both(design)])
+    assert replayed(design, [Step("linear", (x,)), *both(design)])
 
 
 def test_a_state_is_placed_only_where_its_value_follows():

@@ -17,9 +17,11 @@ from necc_casadi.certificate.prover.arithmetic.intervals import Interval
 from necc_casadi.certificate.prover.arithmetic.potential import Potential
 from necc_casadi.certificate.prover.input_limits import (
     clipping_is_covered,
+    highest_at_rest,
     holding_level,
     holds_everywhere,
     input_level,
+    without_damping,
 )
 from necc_casadi.certificate.prover.invariant_sets import OverBox
 from necc_casadi.certificate.prover.region.bounds import bounds_of
@@ -78,19 +80,25 @@ class ComponentProof(RegionProof):
     @cached_property
     def level_u(self) -> float | None:
         """The largest level that was found at which u keeps its limits; None: none was."""
-        return self._largest(self.kept_below)
+        return self._largest(self.kept_below, self.component.reduced.potential)
 
     @cached_property
     def level_clipped(self) -> float | None:
         """The largest level that was found at which clipping does no harm; None: none was."""
-        design = self.component.reduced.potential.design
-        return self._largest(self.held_below) if clipping_is_covered(design) else None
+        potential = self.component.reduced.potential
+        if not clipping_is_covered(potential.design):
+            return None
+        return self._largest(self.held_below, without_damping(potential))
 
-    def _largest(self, below: Callable[[float], float | None]) -> float | None:
-        """The largest level that is found by boxes for a few levels, from the whole one down."""
+    def _largest(
+        self, below: Callable[[float], float | None], potential: Potential
+    ) -> float | None:
+        """The largest level that is found by boxes for a few levels, from the highest one down."""
         best: float | None = None
-        high = 1.0
-        for share in _SHARES:
+        height = self.component.level - self.bottom
+        most = (highest_at_rest(potential) - self.bottom) / height
+        high = min(1.0, most) if most > 0 else 1.0
+        for share in (high * share for share in _SHARES):
             found = below(self._level(share))
             best = _larger(best, found)
             if found is not None:
@@ -100,7 +108,7 @@ class ComponentProof(RegionProof):
             if best is None:
                 break
             # boxes for a level that is nearer are tighter
-            low = (best - self.bottom) / (self.component.level - self.bottom)
+            low = (best - self.bottom) / height
             if high <= _NEAR * low:
                 break
             middle = float(np.sqrt(low * high))
