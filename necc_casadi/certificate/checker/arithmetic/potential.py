@@ -179,12 +179,35 @@ class Energy:
         """∇²V over a box, entry by entry."""
         return self._curvature(box, lambda h, _: h)
 
-    def _curvature(self, box: Box, made: Callable[[_Packed, int], _Packed]) -> arb_mat:
-        """∇²V with the Hessians of Hc and of K, of as many inputs, as they are made."""
+    def curvatures(self, box: Box) -> list[tuple[arb_mat, arb_mat]]:
+        """∇²(Hc + C) = Σ LᵀAL over a box where Φ is the sum, in (A, L), L constant.
+
+        Where the Casimirs are affine, ∇²K is one A.
+        """
+        grads = [grad for _, grad, _ in self._tables[1:]]
+        if self.betas or any(g.constant is None for grad in grads for g in grad):
+            whole = self._curvature(box, lambda h, _: h, energy=False)
+            return [(whole, arb_mat([[int(i == j) for j in range(self.d)] for i in range(self.d)]))]
+        first, nc = self.d - self.model.nc, self.model.nc
+        frame = arb_mat([[int(first + i == j) for j in range(self.d)] for i in range(nc)])
+        slopes = arb_mat([[g(box) for g in grad] for grad in grads])
+        curved = self.k(tuple(ends(c) for c in self.casimirs(box)[0]))[2]
+        return [
+            (_unpacked(self.hc(box[first:])[2], nc), frame),
+            (_unpacked(curved, len(grads)), slopes),
+        ]
+
+    def _curvature(
+        self, box: Box, made: Callable[[_Packed, int], _Packed], energy: bool = True
+    ) -> arb_mat:
+        """∇²V with the Hessians of Hc and of K, of as many inputs, as they are made.
+
+        Without that of H where Φ is the sum and it is not asked for.
+        """
         H, first = self._tables[0][2], self.d - self.model.nc
         _, _, curved = self.hc(box[first:])
         _, inner, outer, curved_k = self._casimir(box)
-        total = [[h(box) for h in row] for row in H]
+        total = [[h(box) if energy else arb(0) for h in row] for row in H]
         self._add(total, made(curved, self.model.nc), first)
         part = [[arb(0)] * self.d for _ in range(self.d)] if self.phi is not None else total
         weights = made(curved_k, len(inner))
@@ -250,6 +273,11 @@ class Energy:
             return arb(1)
         e, _, C, _ = self._energy_and_casimir(box)
         return self.phi((ends(e), ends(C)))[1][0]
+
+
+def _unpacked(curved: _Packed, size: int) -> arb_mat:
+    pairs = [[(min(i, j), max(i, j)) for j in range(size)] for i in range(size)]
+    return arb_mat([[curved[pair] for pair in row] for row in pairs])
 
 
 def _nets(model: StoredDesign) -> tuple[list[Net], list[float]]:

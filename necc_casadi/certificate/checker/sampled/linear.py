@@ -10,6 +10,7 @@ from itertools import count
 import numpy as np
 from flint import arb, arb_mat
 
+from necc_casadi.arrays import Vector
 from necc_casadi.certificate.checker.arithmetic.balls import ball
 from necc_casadi.certificate.checker.arithmetic.definite import middle_of
 
@@ -84,11 +85,26 @@ class Linear:
             center = center + _balls(self._reach() * radius)
         return Linear(center, parts)
 
+    def placed(self, size: int) -> Linear:
+        """As the first block of matrices (size, size) that are 0 elsewhere."""
+        parts = {k: _padded(part, size) for k, part in self.parts.items()}
+        return Linear(_padded(self.center, size), parts)
+
+    def magnitude(self) -> arb_mat:
+        """Upper bounds of absolute values."""
+        size = _absolute(self.center)
+        return size + self._reach() if self.parts else size
+
     @property
     def T(self) -> Linear:
         """The transposes."""
         parts = {k: part.transpose() for k, part in self.parts.items()}
         return Linear(self.center.transpose(), parts)
+
+
+def _padded(A: arb_mat, size: int) -> arb_mat:
+    rows = [[*row, *[arb(0)] * (size - A.ncols())] for row in A.tolist()]
+    return arb_mat([*rows, *[[arb(0)] * size] * (size - A.nrows())])
 
 
 def _absolute(A: arb_mat) -> arb_mat:
@@ -103,7 +119,8 @@ def falls(A: Linear) -> bool:
     """Whether A + Aᵀ ≺ 0 for every matrix enclosed.
 
     In the axes of its middle matrix −A₀ is close to I; what is left of it and of the symmetric
-    parts Y of Aₖ is less than 1, each by the fourth root of tr Y⁴ or all by the rows of Σ|Y|.
+    parts Y of Aₖ is less than 1, each by the fourth root of tr Y⁴ or all by the rows of Σ|Y|, and
+    the balls of A₀ by a diagonal matrix above them.
     """
     if not all(v.is_finite() for row in A.center.tolist() for v in row):
         return False
@@ -113,17 +130,37 @@ def falls(A: Linear) -> bool:
         return False
     C = arb_mat((vectors / np.sqrt(values)).T.tolist())
     D = C.transpose()
-    total = _row_sum(_symmetric(C * A.center * D) + _identity(A.center.nrows()))
+    exact = arb_mat([[v.mid() for v in row] for row in A.center.tolist()])
+    total = _row_sum(_symmetric(C * exact * D) + _identity(exact.nrows()))
+    total = total + _length(C * _above(A.center, vectors / np.sqrt(values)) * D)
     moved = [_symmetric(C * part * D) for part in A.parts.values()]
     if not moved:
         return bool(total < 1)
-    apart = arb(0)
-    for Y in moved:
-        square = Y * Y
-        fourth = sum((v * v for row in square.tolist() for v in row), arb(0))
-        apart = apart + fourth.upper().sqrt().sqrt()
+    apart = sum(map(_length, moved), arb(0))
     together = _row_sum(reduce(lambda a, b: a + b, map(_absolute, moved)))
     return bool(total + apart < 1) or bool(total + together < 1)
+
+
+def _above(A: arb_mat, columns: Vector) -> arb_mat:
+    """A diagonal D with −D ⪯ E ⪯ D for the symmetric part E of what the balls of A leave open.
+
+    2|xᵢxⱼ| ≤ xᵢ²vⱼ/vᵢ + xⱼ²vᵢ/vⱼ for any v > 0, here the lengths of `columns`.
+    """
+    size = A.nrows()
+    lengths = [arb(float(v)) for v in np.linalg.norm(columns, axis=1)]
+    error = [[v.rad() for v in row] for row in A.tolist()]
+    D = arb_mat(size, size)
+    for i in range(size):
+        pairs = ((error[i][j] + error[j][i]) / 2 * lengths[j] for j in range(size))
+        D[i, i] = (sum(pairs, arb(0)) / lengths[i]).upper()
+    return D
+
+
+def _length(Y: arb_mat) -> arb:
+    """‖Y‖₂ of a symmetric matrix, from above."""
+    square = Y * Y
+    fourth = sum((v * v for row in square.tolist() for v in row), arb(0))
+    return fourth.upper().sqrt().sqrt()
 
 
 def _row_sum(A: arb_mat) -> arb:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from flint import arb, arb_mat
 
 from necc_casadi.certificate.checker.arithmetic.balls import Box, ball, by_bisection, meet
@@ -17,8 +19,8 @@ from necc_casadi.certificate.claims.sampled import BEYOND, SampledRegion
 __all__ = ["check_sampled"]
 
 
-#: How often a box of the certificate may be halved again, and the core.
-_AGAIN, _CORE = 16, 12
+#: How often a box of the certificate may be halved again, the core, and the box and its sides.
+_AGAIN, _CORE, _HALVINGS = 16, 12, 100
 
 
 def check_sampled(evidence: Evidence, sound: bool) -> Checked:
@@ -62,6 +64,8 @@ class _Sampled:
             ("everything is smooth on the box", self._is_smooth),
             ("V has one minimum in the core", self._has_core),
             ("the height above V(z̄)", self._is_above),
+            ("W is above its level on the sides of the box", self._is_closed),
+            ("V has no other critical point in the region", self._has_one_minimum),
             ("W falls at every step, on every box", self.on_every_box),
         ]
 
@@ -97,7 +101,7 @@ class _Sampled:
         return bool(bottom + self.region.height <= self.region.level)
 
     def on_every_box(self) -> bool:
-        """Whether W > w₀ or Π ≺ 0, ∇V ≠ 0 or ∇²V ≻ 0, u is kept, on boxes that are the whole."""
+        """Whether W > w₀, or Π ≺ 0 and u is kept, on boxes that are the whole."""
         return all(self._proved(cell, node, _AGAIN) for cell, node in self.region.leaves)
 
     def _proved(self, cell: Box, node: int, left: int) -> bool:
@@ -121,17 +125,70 @@ class _Sampled:
             for half in ((lo, middle), (middle, hi))
         )
 
+    def _is_closed(self) -> bool:
+        """W > w₀ on the sides of the box, as it is where it is least on each of them."""
+        box = self.region.box
+        sides = [
+            (*box[:k], (end, end), *box[k + 1 :]) for k, side in enumerate(box) for end in side
+        ]
+        return all(self._nowhere(side, self._is_above_on(side), _HALVINGS) for side in sides)
+
+    def _is_above_on(self, side: Box) -> Callable[[Box, arb, list[arb]], bool]:
+        """Whether W > w₀ on a piece, or W falls along the side from everywhere on it."""
+
+        def settled(box: Box, W: arb, slope: list[arb]) -> bool:
+            return bool(self.region.level < W) or any(
+                (bool(g > 0) and lo > a) or (bool(g < 0) and hi < b)
+                for g, (lo, hi), (a, b) in zip(slope, box, side, strict=True)
+                if a < b
+            )
+
+        return settled
+
+    def _has_one_minimum(self) -> bool:
+        """∇V ≠ 0 where W ≤ w₀, but in the core."""
+
+        def settled(box: Box, W: arb, slope: list[arb]) -> bool:
+            core = zip(self.region.core, box, strict=True)
+            if bool(self.region.level < W) or all(a <= lo and hi <= b for (a, b), (lo, hi) in core):
+                return True
+            gradient, _ = self._gradient_and_hessian(box)
+            return any(bool(g > 0) or bool(g < 0) for g in gradient)
+
+        return self._nowhere(self.region.box, settled, _HALVINGS)
+
+    def _nowhere(self, box: Box, settled: Callable[[Box, arb, list[arb]], bool], left: int) -> bool:
+        """Whether pieces of a box are settled, each with W and ∇W on it."""
+        W, slope = self._level_and_slope(box)
+        if settled(box, W, slope):
+            return True
+        loose = [
+            (hi - lo) * (float(g.rad()) if g.is_finite() else 1.0)
+            for (lo, hi), g in zip(box, slope, strict=True)
+        ]
+        k = max(range(len(box)), key=loose.__getitem__)
+        (lo, hi), middle = box[k], box[k][0] / 2 + box[k][1] / 2
+        if left == 0 or not lo < middle < hi:
+            return False
+        return all(
+            self._nowhere((*box[:k], half, *box[k + 1 :]), settled, left - 1)
+            for half in ((lo, middle), (middle, hi))
+        )
+
     def _beyond(self, box: Box) -> bool:
-        """W > w₀ by its mean-value form."""
+        return bool(self.region.level < self._level_and_slope(box)[0])
+
+    def _level_and_slope(self, box: Box) -> tuple[arb, list[arb]]:
+        """W by its mean-value form, and ∇W."""
         middle = _middle(box)
         value, at = self.energy.value_and_gradient(middle)
         gradient, S = self._gradient_and_hessian(box)
         column = arb_mat([[v] for v in gradient])
-        slope = column + S * (self.Q * column)
+        slope = [g for (g,) in (column + S * (self.Q * column)).tolist()]
         W = value + self._square(at) / 2
-        for step, (g,) in zip(_steps(box, middle), slope.tolist(), strict=True):
+        for step, g in zip(_steps(box, middle), slope, strict=True):
             W = W + g * step
-        return bool(self.region.level < W)
+        return W, slope
 
     def _gradient_and_hessian(self, box: Box) -> tuple[list[arb], arb_mat]:
         """∇V by its mean-value form, and ∇²V."""
@@ -146,14 +203,7 @@ class _Sampled:
         return (column.transpose() * self.Q * column)[0, 0]
 
     def _kept(self, box: Box, period: tuple[float, float]) -> bool:
-        root = self.region.box
-        if any(lo <= a or b <= hi for (lo, hi), (a, b) in zip(box, root, strict=True)):
-            return False
         gradient, _ = self._gradient_and_hessian(box)
-        core = self.region.core
-        home = all(a <= lo and hi <= b for (a, b), (lo, hi) in zip(core, box, strict=True))
-        if not (home or any(bool(g > 0) or bool(g < 0) for g in gradient)):
-            return False
         u = self.step.inputs(box, gradient)
         limits = self.model.u_limits or ()
         if not all(bool(v >= lo) and bool(v <= hi) for v, (lo, hi) in zip(u, limits, strict=False)):

@@ -15,6 +15,7 @@ from necc_casadi.certificate.checker.arithmetic.potential import Energy
 from necc_casadi.certificate.checker.arithmetic.tapes import Tape
 from necc_casadi.certificate.checker.model import StoredDesign
 from necc_casadi.certificate.checker.sampled.linear import Linear
+from necc_casadi.certificate.checker.sampled.linearised import Linearised
 
 __all__ = ["StepProof"]
 
@@ -40,7 +41,8 @@ class StepProof:
         field = (model.J - model.R) * gradient + model.G * sp.Matrix(given)
         self._flow = Tape(list(flow), z)
         self._field = Tape(list(field), [*z[:n], *given])
-        self._slopes = Tape(list(field.jacobian(z[:n])), [*z[:n], *given])
+        self._slopes = Linearised(field.jacobian(z[:n]), [*z[:n], *given], False)
+        self._bends = Linearised(sp.hessian(model.H, z[:n]), z[:n], True)
         self._feedback = Tape(list(model.feedback), z)
         self._ports = Tape(list(damping[: model.m, :] * model.ports.T), z)
 
@@ -80,9 +82,12 @@ class StepProof:
                 v + upto * (r + upto * a / 2)
                 for v, r, a in zip(values[n:], rate[n:], more, strict=True)
             ]
-        entries = self.energy.entries(_outwards([*(ball(*side) for side in X), *there])).tolist()
-        mean, weighted = (Linear.of(entries, names, True) for _ in range(2))
-        slopes = _table(self._slopes([*(ball(*side) for side in X), *u]), n)
+        blocks = self.energy.curvatures(_outwards([*(ball(*side) for side in X), *there]))
+        varying = [next(names) for _ in range(n + model.m)]
+        bends = [self._bends(box[:n], X, varying[:n], names) for _ in range(2)]
+        mean, weighted = (_whole(H, blocks, size, names) for H in bends)
+        given = tuple(ends(v) for v in u)
+        slopes = self._slopes((*box[:n], *given), (*X, *given), varying, names)
         s = (next(names), arb(period[0] / 2 + period[1] / 2), arb(0))
         s = (s[0], s[1], _spread(period, s[1]))
         step = self._factor(slopes, bent, s, last, names, size) @ Linear.of(N, names, False)
@@ -93,7 +98,7 @@ class StepProof:
 
     def _factor(
         self,
-        slopes: list[list[arb]],
+        A: Linear,
         bent: list[list[arb]] | None,
         s: tuple[int, arb, arb],
         last: float,
@@ -101,25 +106,19 @@ class StepProof:
         size: int,
     ) -> Linear:
         """Diag(I + (s/2)A₁ + (s²/6)A₂A₃ + …, I + (s/2)(N S′)_ξξ)."""
-        n = len(slopes)
-        block = [[arb(0)] * size for _ in range(size)]
-        for i, row in enumerate(slopes):
-            block[i][:n] = row
-        for i, row in enumerate(bent or []):
-            block[n + i][n:] = row
-        result = Linear.of(block, names, False).scaled(s).times(arb(1) / 2)
-        A = arb_mat(slopes)
-        square = A * A
-        norm = reduce(arb.max, (sum(map(abs, row), arb(0)).upper() for row in slopes))
-        tail = (norm * last) ** 3 / 24 * (norm * last).exp()
-        whole = s[1] + ball(-1.0, 1.0) * s[2]
-        rest = arb_mat(size, size)
-        for i in range(n):
-            for j in range(n):
-                rest[i, j] = square[i, j] * (whole * whole) / 6
-                rest[i, j] += ball(-1.0, 1.0) * tail
+        n = self.model.n
+        half = A.placed(size).scaled(s).times(arb(1) / 2)
+        if bent is not None:
+            block = [[arb(0)] * size for _ in range(size)]
+            for i, row in enumerate(bent):
+                block[n + i][n:] = row
+            half = half + Linear.of(block, names, False).scaled(s).times(arb(1) / 2)
+        second = (A @ A).placed(size).scaled(s).scaled(s).times(arb(1) / 6)
+        norm = reduce(arb.max, (sum(row, arb(0)).upper() for row in A.magnitude().tolist()))
+        tail = (norm * last) ** 3 / 24 * (norm * last).exp() * ball(-1.0, 1.0)
+        rest = [[tail if i < n and j < n else arb(0) for j in range(size)] for i in range(size)]
         identity = arb_mat([[int(i == j) for j in range(size)] for i in range(size)])
-        return result + Linear(identity + rest, {})
+        return half + second + Linear(identity + arb_mat(rest), {})
 
     def _motion(self, X: Box, u: list[arb], last: float) -> Box | None:
         """A box that no motion from X leaves up to the last time; None: none was found."""
@@ -136,6 +135,17 @@ class StepProof:
                 for a, b in zip(held, tried, strict=True)
             )
         return None
+
+
+def _whole(
+    H: Linear, blocks: Sequence[tuple[arb_mat, arb_mat]], size: int, names: count[int]
+) -> Linear:
+    """∇²V from ∇²H and what is Σ LᵀAL."""
+    total = H.placed(size)
+    for A, frame in blocks:
+        own, L = Linear.of(A.tolist(), names, True), Linear(frame, {})
+        total = total + L.T @ own @ L
+    return total
 
 
 def _spread(period: tuple[float, float], middle: arb) -> arb:

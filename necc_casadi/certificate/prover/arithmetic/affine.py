@@ -116,7 +116,8 @@ def negative_definite(A: Affine, share: float = 1.0) -> Truth:
     """Whether every symmetric matrix enclosed is ≺ 0, (B,).
 
     C(−A₀)Cᵀ is close to I for a C near the inverse of a factor; A ≺ 0 where what is left is shorter
-    than 1, or a share of it: each Y = CAₖCᵀ by ‖Y‖₂⁴ ≤ ‖Y²‖_F², or all by the rows of Σ|Y|.
+    than 1, or a share of it: each Y = CAₖCᵀ by ‖Y‖₂⁴ ≤ ‖Y²‖_F², or all by the rows of Σ|Y|; the
+    error by a diagonal matrix above it.
     """
     finite: Truth = np.asarray(np.isfinite(A.center + A.error).all((-1, -2)))
     finite = finite & np.isfinite(A.parts).all((-1, -2, -3))
@@ -134,8 +135,21 @@ def negative_definite(A: Affine, share: float = 1.0) -> Truth:
     moved = C[:, None] @ parts @ CT[:, None]
     lengths = np.sqrt(np.sqrt(((moved @ moved) ** 2).sum((-1, -2))))
     together = np.abs(moved).sum(1).sum(-1).max(-1)
-    spread = size_C @ rest @ np.swapaxes(size_C, -1, -2)
-    total = np.sqrt((apart**2).sum((-1, -2))) + spread.sum(-1).max(-1)
+    total = np.sqrt((apart**2).sum((-1, -2))) + _spread(C, rest)
     total = total + np.minimum(lengths.sum(1), together)
     total = total + _ROUND * (size_C @ np.abs(safe) @ np.swapaxes(size_C, -1, -2)).sum((-1, -2))
     return np.asarray(usable & (total * (1 + _ROUND) < share), dtype=bool)
+
+
+def _spread(C: Vector, error: Vector) -> Vector:
+    """Upper bounds of ‖CECᵀ‖₂ for every symmetric E with |E| ≤ error, (B,).
+
+    2|xᵢxⱼ| ≤ xᵢ²vⱼ/vᵢ + xⱼ²vᵢ/vⱼ for v > 0, here the columns of C by their lengths, so that E ⪯ D,
+    diagonal, and −E ⪯ D.
+    """
+    lengths = np.sqrt((C**2).sum(1)) + TINY
+    error = np.maximum(error, np.swapaxes(error, -1, -2))
+    diagonal = (error @ lengths[..., None])[..., 0] / lengths
+    moved = C @ (diagonal[..., None] * np.swapaxes(C, -1, -2))
+    bound: Vector = np.sqrt(np.sqrt(((moved @ moved) ** 2).sum((-1, -2)))) * (1 + _ROUND)
+    return bound

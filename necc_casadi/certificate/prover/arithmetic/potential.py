@@ -99,6 +99,41 @@ class Potential:
             inputs = stack([energy.value, casimir.value])
             return phi_jet(form.phi, weights[-1], inputs).grad[:, 0]
 
+    def curvatures(self, Z: Interval) -> list[tuple[Interval, Vector]]:
+        """∇²(Hc + C) = Σ LᵀAL over boxes (B, N): A in an enclosure (B, r, r), L constant (r, N).
+
+        Where Φ is the sum; ∇²K enters once where the Casimirs are affine.
+        """
+        with np.errstate(all="ignore"):
+            return self._curvatures(Z, over_pieces)
+
+    def _curvatures(self, Z: Interval, over: OverBoxes) -> list[tuple[Interval, Vector]]:
+        form, weights, d = self.design.form, self._weights, len(self.active)
+        nc, identity = self.design.loop.controller.nc, np.eye(d)
+        variables = coordinates(Z)
+        _, *c = self._expressions(Z)
+        inner = [_as_jet(part, variables[0]) for part in c]
+        controller = _compose(form.hc, weights[0], variables[-nc:], over).hess[:, -nc:, -nc:]
+        slopes = self._constant_slopes
+        if form.betas or slopes is None:
+            return [(controller, identity[-nc:]), (self._casimir(inner, over).hess, identity)]
+        arguments = coordinates(stack([part.value for part in inner]))
+        casimir = _compose(form.k, weights[1], arguments, over).hess
+        return [(controller, identity[-nc:]), (casimir, slopes)]
+
+    @cached_property
+    def _constant_slopes(self) -> Vector | None:
+        """∇c where it is constant and exact in doubles, (r, active)."""
+        symbols = [self.design.loop.z[i] for i in self.active]
+        slopes = sp.Matrix(self.design.casimirs.functions).jacobian(symbols)
+        if slopes.free_symbols:
+            return None
+        numbers = np.array(slopes.evalf(30), float)
+        exact = all(
+            sp.Rational(float(v)) == s for v, s in zip(numbers.ravel(), slopes, strict=True)
+        )
+        return numbers if exact else None
+
     @property
     def _weights(self) -> list[Vector]:
         return self.design.form.split(self.design.weights)

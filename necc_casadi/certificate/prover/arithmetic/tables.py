@@ -32,6 +32,9 @@ class TabledPotential(Potential):
     def _parts(self, Z: Interval, over: OverBoxes | None = None) -> tuple[Jet, Jet]:
         return super()._parts(Z, self._tables if over in (None, over_pieces) else over)
 
+    def _curvatures(self, Z: Interval, over: OverBoxes) -> list[tuple[Interval, Vector]]:
+        return super()._curvatures(Z, self._tables if over is over_pieces else over)
+
 
 @dataclass(eq=False)
 class _Tables:

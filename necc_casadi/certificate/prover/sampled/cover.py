@@ -1,13 +1,14 @@
 """Boxes of states and periods on which a step of the sampled loop is proved, by halving.
 
-On each box that meets {W ≤ w₀} is Π ≺ 0, u within its limits, and ∇V ≠ 0 or the box in a core with
-∇²V ≻ 0; no such box is at a side of the whole. What is not proved lowers w₀.
+On each box that meets {W ≤ w₀} is Π ≺ 0 and u within its limits. By states alone: W > w₀ on the
+sides of the whole, and where W ≤ w₀ either ∇V ≠ 0 or ∇²V ≻ 0, in a core. What is not proved lowers
+w₀.
 """
 
 from __future__ import annotations
 
 import heapq
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -19,7 +20,7 @@ from necc_casadi.certificate.prover.arithmetic.intervals import Interval, matmul
 from necc_casadi.certificate.prover.arithmetic.potential import Potential
 from necc_casadi.certificate.prover.sampled.step import Step
 
-__all__ = ["Cover", "cover"]
+__all__ = ["Cover", "cover", "level_by_states"]
 
 
 #: Boxes at once, and how often one is halved at most.
@@ -28,6 +29,10 @@ _BATCH, _DEEPEST = 512, 40
 _EASED = 0.8
 #: Boxes after which one must have been proved: those near z̄ come first.
 _HOPELESS = 4000
+
+
+#: Whether what is to be shown of boxes (B, N), with ∇W on them, is, (B,).
+Settled = Callable[[Interval, Interval], Truth]
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +92,6 @@ def cover(
     step: Step,
     Q: Vector,
     root: Interval,
-    core: Interval,
     level: float,
     weights: Vector,
     most: int,
@@ -99,8 +103,6 @@ def cover(
     ----------
     root
         The box of states and periods, (N + 1,).
-    core
-        A box (N,) with ∇²V ≻ 0.
     weights
         How fast Π changes with states and period, (N + 1,).
     most
@@ -126,25 +128,20 @@ def cover(
             np.array([tree.lo[i] for i in taken]), np.array([tree.hi[i] for i in taken])
         )
         Z, s = cells[:, :-1], cells[:, -1]
-        lowest, loose = lower_bounds(step.potential, Q, Z)
+        lowest, _ = lower_bounds(step.potential, Q, Z)
         lowest = np.maximum(lowest, bounds)
         proved = np.zeros(len(taken), dtype=bool)
-        falls_on = np.ones(len(taken), dtype=bool)
         reached = np.flatnonzero(lowest <= level)
         if len(reached):
             sample = step.over(Z[reached], s[reached])
-            falls = negative_definite(sample.form(Q), _EASED) & _within(sample.inputs, limits)
-            alone = _apart(sample.gradient) | _inside(Z[reached], core)
-            alone &= ~_at_a_side(Z[reached], root)
-            proved[reached], falls_on[reached] = falls & alone, falls
+            falls = negative_definite(sample.form(Q), _EASED)
+            proved[reached] = falls & _within(sample.inputs, limits)
         for k, i in enumerate(taken):
             if lowest[k] > level or proved[k]:
                 tree.node[i] = BEYOND if lowest[k] > level else KEPT
                 kept = kept or bool(proved[k])
                 continue
-            # where Π ≺ 0 it is W that is not known well enough
-            share = loose[k] if falls_on[k] else (tree.hi[i] - tree.lo[i]) * weights
-            side = int(np.argmax(share))
+            side = int(np.argmax((tree.hi[i] - tree.lo[i]) * weights))
             if tree.depth[i] >= _DEEPEST:
                 level = min(level, float(lowest[k]))
                 continue
@@ -153,11 +150,87 @@ def cover(
     return Cover(level, tree.packed())
 
 
-def lower_bounds(potential: Potential, Q: Vector, Z: Interval) -> tuple[Vector, Vector]:
-    """Lower bounds of W over boxes (B, N), by its mean-value form, (B,); −∞: nothing is known.
+def level_by_states(
+    potential: Potential,
+    Q: Vector,
+    box: Interval,
+    core: Interval,
+    level: float,
+    most: int,
+    least: float,
+) -> float:
+    """The largest w₀ ≤ `level` found for what states alone say; `least` or less where none was.
 
-    Besides how much each side of a box adds to what the form does not know, (B, N).
+    W > w₀ on the sides of a box (N,), and z̄ the only zero of ∇V in {W ≤ w₀} there: ∇²V ≻ 0 on the
+    core.
     """
+    for side in _sides(box):
+        level = _where_above(potential, Q, side, level, most, least, _steep_within(side))
+
+    def settled(Z: Interval, slope: Interval) -> Truth:
+        return _inside(Z, core) | _apart(potential.jet(Z).grad)
+
+    return _where_above(potential, Q, box, level, most, least, settled)
+
+
+def _steep_within(side: Interval) -> Settled:
+    """Where W is not least on a side, as it falls along the side in some direction."""
+
+    def settled(Z: Interval, slope: Interval) -> Truth:
+        within = side.hi > side.lo
+        falls = ((slope.lo > 0) & (Z.lo > side.lo)) | ((slope.hi < 0) & (Z.hi < side.hi))
+        return np.asarray((falls & within).any(-1))
+
+    return settled
+
+
+def _where_above(
+    potential: Potential,
+    Q: Vector,
+    box: Interval,
+    level: float,
+    most: int,
+    least: float,
+    settled: Settled,
+) -> float:
+    """The largest level up to the one given below which nothing on a box (N,) is left open."""
+    cells = [(box.lo, box.hi)]
+    heap = [(-np.inf, 0)]
+    while heap and heap[0][0] <= level and level > least:
+        if len(cells) > most:
+            return heap[0][0]
+        taken = [heapq.heappop(heap) for _ in range(min(_BATCH, len(heap)))]
+        Z = Interval(*(np.array(v) for v in zip(*(cells[k] for _, k in taken), strict=True)))
+        lowest, slope = lower_bounds(potential, Q, Z)
+        loose = np.where(np.isfinite(slope.rad), slope.rad, 1.0) * (Z.hi - Z.lo)
+        left_open = (lowest <= level) & ~settled(Z, slope)
+        for (bound, k), low, share, left in zip(taken, lowest, loose, left_open, strict=True):
+            if not left:
+                continue
+            lo, hi = cells[k]
+            side = int(np.argmax(share))
+            middle = lo[side] / 2 + hi[side] / 2
+            first, last = hi.copy(), lo.copy()
+            first[side], last[side] = middle, middle
+            for half in ((lo, first), (last, hi)):
+                cells.append(half)
+                heapq.heappush(heap, (max(bound, float(low)), len(cells) - 1))
+    return level
+
+
+def _sides(box: Interval) -> list[Interval]:
+    """The sides of a box (N,)."""
+    result = []
+    for k in range(len(box.lo)):
+        for end in (box.lo[k], box.hi[k]):
+            lo, hi = box.lo.copy(), box.hi.copy()
+            lo[k] = hi[k] = end
+            result.append(Interval(lo, hi))
+    return result
+
+
+def lower_bounds(potential: Potential, Q: Vector, Z: Interval) -> tuple[Vector, Interval]:
+    """Lower bounds of W over boxes (B, N), by its mean-value form, (B,), and ∇W; −∞: unknown."""
     with np.errstate(all="ignore"):
         jet, middle = potential.jet(Z), potential.jet(point(Z.mid))
         metric = point(Q[None])
@@ -167,9 +240,7 @@ def lower_bounds(potential: Potential, Q: Vector, Z: Interval) -> tuple[Vector, 
         form = value + (slope * (Z - Z.mid)).sum()
         plain = jet.value + _square(metric, jet.grad) * 0.5
         best = np.fmax(form.lo, plain.lo)
-        width = Z.hi - Z.lo
-        loose = np.where(np.isfinite(slope.rad), slope.rad, 1.0) * width
-    return np.where(np.isnan(best), -np.inf, best), loose
+    return np.where(np.isnan(best), -np.inf, best), slope
 
 
 def _square(metric: Interval, g: Interval) -> Interval:
@@ -191,8 +262,3 @@ def _apart(gradient: Interval) -> Truth:
 
 def _inside(Z: Interval, core: Interval) -> Truth:
     return np.asarray(((core.lo <= Z.lo) & (Z.hi <= core.hi)).all(-1))
-
-
-def _at_a_side(Z: Interval, root: Interval) -> Truth:
-    lo, hi = root.lo[:-1], root.hi[:-1]
-    return np.asarray(((lo >= Z.lo) | (Z.hi >= hi)).any(-1))

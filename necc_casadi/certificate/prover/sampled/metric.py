@@ -26,7 +26,7 @@ _RAYS, _PLACES = 400, 2.0 ** np.arange(-4, 6, 1 / 16)
 #: share, it may find a region: beyond that it went over a pass.
 _HALVINGS, _STEPS, _WIDER = 12, 40, 0.1
 #: The box around {W ≤ w₀} is wider by one of these shares, the first with W > w₀ on a side.
-_ROOMS = (0.15, 0.1, 0.06, 0.03, 0.01)
+_ROOMS = (0.5, 0.3, 0.15, 0.1, 0.06, 0.03, 0.01)
 
 
 def choose_metric(step: Step, points: Vector, period: float) -> Vector | None:

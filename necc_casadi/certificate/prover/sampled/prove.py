@@ -12,12 +12,13 @@ from necc_casadi.certificate.claims.certificate import Certificate
 from necc_casadi.certificate.claims.regions import numbers, rows
 from necc_casadi.certificate.claims.sampled import SampledRegion
 from necc_casadi.certificate.claims.statements import NotSampled
+from necc_casadi.certificate.prover.arithmetic.boxes import subdivide
 from necc_casadi.certificate.prover.arithmetic.definite import positive_definite
 from necc_casadi.certificate.prover.arithmetic.intervals import Interval
 from necc_casadi.certificate.prover.arithmetic.potential import Potential
 from necc_casadi.certificate.prover.arithmetic.tables import TabledPotential
 from necc_casadi.certificate.prover.region.bounds import bounds_of
-from necc_casadi.certificate.prover.sampled.cover import cover
+from necc_casadi.certificate.prover.sampled.cover import cover, level_by_states
 from necc_casadi.certificate.prover.sampled.metric import Guide, choose_metric
 from necc_casadi.certificate.prover.sampled.step import Step
 from necc_casadi.designs.design import Design
@@ -31,6 +32,8 @@ _POINTS, _STARTS = 60, 200
 #: Shares of the height that are tried, and boxes that may be looked at for each; a share is reached
 #: where this much of it is.
 _SHARES, _ENOUGH = ((1.0, 20_000), (0.4, 6_000), (0.1, 6_000)), 0.9
+#: Boxes of states alone.
+_CELLS = 20_000
 #: Boxes for each longer period that is tried, and by which factors: the first as long as it
 #: succeeds, then the second.
 _LONGER, _FACTORS, _TRIALS = 10_000, (2.0, 2.0**0.5), 8
@@ -39,7 +42,7 @@ _AS_HIGH = 0.999
 #: The share of w₀ − V(z̄) that is given away, for other arithmetic.
 _EASED = 1e-6
 #: The core reaches this share of the way to the box, and is made smaller by this factor.
-_CORE, _SMALLER, _TRIES = 0.5, 0.7, 20
+_CORE, _SMALLER, _TRIES = 0.9, 0.8, 30
 #: A step of finite differences, in sizes; a share of the fastest change that every state has.
 _APART, _LEAST = 0.02, 0.02
 
@@ -128,9 +131,12 @@ def _region(
     bottom = float(potential.jet(Interval(design.z_bar[None], design.z_bar[None])).value.hi[0])
     core = _core(potential, box)
     root = Interval(np.append(box.lo, 0.0), np.append(box.hi, period))
-    weights = _weights(step, guide, points, period)
     least = bottom + enough * height
-    found = cover(step, Q, root, core, bottom + height, weights, most, least)
+    level = level_by_states(potential, Q, box, core, bottom + height, _CELLS, least)
+    if not level > least:
+        return None
+    weights = _weights(step, guide, points, period)
+    found = cover(step, Q, root, level, weights, most, least)
     if not found.level > least:
         return None
     return SampledRegion(
@@ -151,7 +157,7 @@ def _core(potential: Potential, box: Interval) -> Interval:
     half = _CORE * np.minimum(box.hi - z_bar, z_bar - box.lo)
     for _ in range(_TRIES):
         core = Interval(z_bar - half, z_bar + half)
-        if positive_definite(potential.jet(core[None]).hess)[0]:
+        if positive_definite(potential.lower_hessian(subdivide(core, 2))).all():
             return core
         half = _SMALLER * half
     return Interval(z_bar, z_bar)

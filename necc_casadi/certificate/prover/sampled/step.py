@@ -14,8 +14,9 @@ docs/theory.md#sampled-loop.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, reduce
 
 import numpy as np
 import sympy as sp
@@ -29,6 +30,7 @@ from necc_casadi.certificate.prover.arithmetic.intervals import (
     matmul,
 )
 from necc_casadi.certificate.prover.arithmetic.jets import expression_values
+from necc_casadi.certificate.prover.arithmetic.linearised import linearised
 from necc_casadi.certificate.prover.arithmetic.networks import network_jet
 from necc_casadi.certificate.prover.arithmetic.potential import Potential
 
@@ -77,37 +79,47 @@ class Step:
         rates = matmul(N, gradient[..., None])[..., 0]
         u = self.inputs(Z, gradient)
         n, upto = self._n, Interval(np.zeros_like(s.hi), s.hi)[:, None]
-        X = self._motion(Z[:, :n], u, upto)
+        drift = self._motion(Z[:, :n], u, upto)
         bent, moved = self._advanced(Z, N, rates[:, n:], upto)
-        slopes = self._slopes_over(X, u)
-        reached = _side_by_side(X, moved)
-        S = self.potential.jet(reached).hess
-        blocks = [S, S, N, slopes] + ([] if bent is None else [bent])
-        made, count = affine_matrices(blocks, [True, True, False, False, False][: len(blocks)])
-        period = Affine(
-            s.mid[:, None, None],
-            np.zeros((len(s.lo), count + 1, 1, 1)),
-            np.zeros((len(s.lo), 1, 1)),
+        curved = self.potential.curvatures(_side_by_side(Z[:, :n] + drift, moved))
+        energy, rest = linearised(self._bends, self._symbols[:n], Z[:, :n], drift)
+        blocks = [Interval(-rest, rest), *(A for A, _ in curved)]
+        frames = [np.eye(self._size)[:n], *(L for _, L in curved)]
+        slopes, left = self._slopes_over(Z[:, :n], u, drift)
+        free = [N, Interval(-left, left)] + ([] if bent is None else [bent])
+        made, count = affine_matrices(
+            [*blocks, *blocks, *free], [True] * (2 * len(blocks)) + [False] * len(free)
         )
-        period.parts[:, count] = s.rad[:, None, None]
-        mean, weighted, flow, A, *curved = (_with_one_more(part) for part in made)
-        step = self._factor(period, A, slopes, curved[0] if curved else None, s.hi) @ flow
+        # numbers of x, of u, of all that varies by itself, and of s
+        first, every = n + len(self._given), n + len(self._given) + count + 1
+        made = [_among(A, first, every) for A in made]
+        period = _constant(s.mid[:, None, None], made[0])
+        period.parts[:, -1] = s.rad[:, None, None]
+        known = _placed(_among(energy, 0, every), 0, self._size)
+        mean, weighted = (
+            known + _summed(made[k : k + len(blocks)], frames) for k in (0, len(blocks))
+        )
+        flow, apart, *more = made[2 * len(blocks) :]
+        A = _among(slopes, 0, every) + apart
+        step = self._factor(period, A, more[0] if more else None, s.hi) @ flow
         return Sample(period, step, mean, weighted, gradient, u)
 
-    def _factor(
-        self, period: Affine, A: Affine, slopes: Interval, curved: Affine | None, most: Vector
-    ) -> Affine:
+    def _slopes_over(self, X: Interval, u: Interval, drift: Interval) -> tuple[Affine, Vector]:
+        """Means of ∂f/∂x, (B, n, n)."""
+        still = np.zeros_like(u.hi)
+        Y, moved = _side_by_side(X, u), _side_by_side(drift, Interval(still, still))
+        return linearised(self._slopes, [*self._symbols[: self._n], *self._given], Y, moved)
+
+    def _factor(self, period: Affine, A: Affine, curved: Affine | None, most: Vector) -> Affine:
         """Diag(I + (s/2)A₁ + (s²/6)A₂A₃ + …, I + (s/2)(N S′)_ξξ), (B, N, N)."""
-        boxes, size, n = len(most), self.potential.design.loop.n, self._n
-        identity = _constant(np.broadcast_to(np.eye(size), (boxes, size, size)), period)
+        boxes, size, n = len(most), self._size, self._n
         half = period.times(0.5)
+        identity = _constant(np.broadcast_to(np.eye(size), (boxes, size, size)), period)
         result = identity + _placed(A, 0, size).scaled(half)
         if curved is not None:
             result = result + _placed(curved, n, size).scaled(half)
-        # A₂ and A₃ are apart from A₁ and from each other
-        alone = Affine(A.center, np.zeros_like(A.parts), slopes.rad)
-        second = (alone @ alone).scaled(period.scaled(period)).times(1 / 6)
-        size_A = slopes.magnitude.sum(-1).max(-1)
+        second = (A @ A).scaled(period.scaled(period)).times(1 / 6)
+        size_A = A.magnitude.sum(-1).max(-1)
         tail = (most * size_A) ** 3 / 24 * np.exp(most * size_A) * (1 + 1e-9)
         rest = np.zeros((boxes, size, size))
         rest[:, :n, :n] = tail[:, None, None]
@@ -129,7 +141,7 @@ class Step:
         return -given[..., 0]
 
     def _motion(self, X: Interval, u: Interval, upto: Interval) -> Interval:
-        """A box that no motion from X leaves before s (Picard and Lindelöf); NaN: none found."""
+        """How far no motion from X goes beyond before s (Picard, Lindelöf); NaN: unknown."""
         held = X
         for _ in range(_ROUNDS):
             tried = X + upto * self._field_over(held, u)
@@ -142,9 +154,10 @@ class Step:
             lo = np.minimum(np.minimum(tried.lo, X.lo), middle - room)
             hi = np.maximum(np.maximum(tried.hi, X.hi), middle + room)
             held = Interval(np.where(known, held.lo, lo), np.where(known, held.hi, hi))
-        tried = X + upto * self._field_over(held, u)
+        moved = upto * self._field_over(held, u)
+        tried = X + moved
         proved = ((tried.lo >= held.lo) & (tried.hi <= held.hi)).all(-1, keepdims=True)
-        return Interval(np.where(proved, tried.lo, np.nan), np.where(proved, tried.hi, np.nan))
+        return Interval(np.where(proved, moved.lo, np.nan), np.where(proved, moved.hi, np.nan))
 
     def _advanced(
         self, Z: Interval, N: Interval, rate: Interval, upto: Interval
@@ -164,16 +177,16 @@ class Step:
         """F(x, u), (B, n)."""
         return self._values(self._field, X, u)
 
-    def _slopes_over(self, X: Interval, u: Interval) -> Interval:
-        """∂f/∂x, (B, n, n)."""
-        return self._values(self._slopes, X, u).reshape(-1, self._n, self._n)
-
     def _values(self, entries: tuple[sp.Expr, ...], X: Interval, u: Interval) -> Interval:
         known = {s: X[:, i] for i, s in enumerate(self._symbols[: self._n])}
         known |= {s: u[:, i] for i, s in enumerate(self._given)}
         values = [v + np.zeros(len(X.lo)) for v in expression_values(list(entries), known)]
         lo, hi = ([getattr(v, end) for v in values] for end in ("lo", "hi"))
         return Interval(np.stack(lo, -1), np.stack(hi, -1))
+
+    @property
+    def _size(self) -> int:
+        return self.potential.design.loop.n
 
     @property
     def _n(self) -> int:
@@ -193,8 +206,14 @@ class Step:
         return tuple(sp.Matrix(plant.flow) + sp.Matrix(plant.G) * sp.Matrix(self._given))
 
     @cached_property
-    def _slopes(self) -> tuple[sp.Expr, ...]:
-        return tuple(sp.Matrix(self._field).jacobian(self._symbols[: self._n]))
+    def _slopes(self) -> sp.Matrix:
+        """∂f/∂x."""
+        return sp.Matrix(self._field).jacobian(self._symbols[: self._n])
+
+    @cached_property
+    def _bends(self) -> sp.Matrix:
+        """∇²H."""
+        return sp.hessian(self.potential.energy, self._symbols[: self._n])
 
     @cached_property
     def _flow(self) -> sp.Matrix:
@@ -209,16 +228,25 @@ def _side_by_side(a: Interval, b: Interval) -> Interval:
     return Interval(np.concatenate([a.lo, b.lo], 1), np.concatenate([a.hi, b.hi], 1))
 
 
-def _with_one_more(A: Affine) -> Affine:
-    """The same with room for one more number."""
-    boxes, _, rows, columns = A.parts.shape
-    parts = np.concatenate([A.parts, np.zeros((boxes, 1, rows, columns))], 1)
+def _among(A: Affine, at: int, count: int) -> Affine:
+    """The same with its numbers from `at` on among `count`."""
+    boxes, own, rows, columns = A.parts.shape
+    parts = np.zeros((boxes, count, rows, columns))
+    parts[:, at : at + own] = A.parts
     return Affine(A.center, parts, A.error)
 
 
+def _summed(blocks: Sequence[Affine], frames: Sequence[Vector]) -> Affine:
+    """Σ LᵀAL."""
+    terms = []
+    for A, L in zip(blocks, frames, strict=True):
+        frame = _constant(L[None], A)
+        terms.append(frame.T @ A @ frame)
+    return reduce(lambda a, b: a + b, terms)
+
+
 def _constant(matrix: Vector, like: Affine) -> Affine:
-    boxes, count = like.parts.shape[:2]
-    parts = np.zeros((boxes, count, *matrix.shape[1:]))
+    parts = np.zeros((len(matrix), like.parts.shape[1], *matrix.shape[1:]))
     return Affine(np.array(matrix), parts, np.zeros(matrix.shape))
 
 
