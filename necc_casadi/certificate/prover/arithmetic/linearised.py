@@ -16,7 +16,7 @@ import sympy as sp
 from necc_casadi.arrays import Vector
 from necc_casadi.certificate.prover.arithmetic.affine import Affine
 from necc_casadi.certificate.prover.arithmetic.boxes import hull
-from necc_casadi.certificate.prover.arithmetic.intervals import Interval, point
+from necc_casadi.certificate.prover.arithmetic.intervals import UNIT, Interval, point
 from necc_casadi.certificate.prover.arithmetic.jets import Jet, coordinates, expression_jets
 
 __all__ = ["linearised"]
@@ -42,7 +42,7 @@ def linearised(
     reached, half = Z + drift, Z.rad
     middle = Z.mid + drift.mid
     reach = (reached - middle).magnitude
-    moved = np.maximum(reach * _ROUND - half, 0.0)
+    moved = np.maximum(reach * _ROUND - half, 0.0) + 8 * UNIT * (np.abs(middle) + reach)
     entries = list(dict.fromkeys(matrix))
     firsts = _jets(entries, symbols, point(middle))
     bends = _bends(entries, symbols, reached)
@@ -59,7 +59,8 @@ def linearised(
             straight = ~(left > whole.rad / 2)
             center[:, i, j] = np.where(straight, first.value.mid, whole.mid)
             parts[:, :, i, j] = np.where(straight[:, None], slope.mid * half, 0.0)
-            error[:, i, j] = first.value.rad + (slope.rad * half).sum(-1) * _ROUND
+            apart = slope.rad + 2 * UNIT * np.abs(slope.mid)
+            error[:, i, j] = (first.value.rad + (apart * half).sum(-1)) * _ROUND
             rest[:, i, j] = np.where(straight, left, whole.rad)
     return Affine(center, parts, error), rest
 
