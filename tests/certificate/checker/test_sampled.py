@@ -3,9 +3,13 @@
 import json
 from dataclasses import replace
 
+import numpy as np
 import pytest
 import sympy as sp
+from flint import arb_mat
+from helpers.sampled import sampled_step
 
+from necc_casadi.certificate.checker.arithmetic.balls import ball
 from necc_casadi.certificate.checker.check import check
 from necc_casadi.certificate.checker.evidence import Evidence
 from necc_casadi.certificate.checker.model import StoredDesign
@@ -129,3 +133,32 @@ def test_a_jump_of_V_that_no_derivative_shows_is_seen(folder, inside):
     model.H += sp.atan(sp.tan((model.z[0] - pole) / width + sp.Rational(11, 7)))
     proofs = dict(_Sampled(Evidence(model, stored), region).obligations())
     assert proofs["everything is smooth on the box"]() is not inside
+
+
+@pytest.mark.parametrize("method", ["euler", "heun"])
+@pytest.mark.parametrize("width", [0.0, 0.2])
+def test_the_form_says_what_a_step_does_to_w(folder, default_design, method, width):
+    """W(z⁺) − W(z) = s ∇VᵀΠ∇V, by simulation of plant and controller."""
+    _, stored, data = read_folder(folder)
+    proof = _Sampled(
+        Evidence(StoredDesign(data), stored), replace(region_of(folder), integrator=method)
+    )
+    design, rng = default_design.natural, np.random.default_rng(3)
+    for _ in range(8):
+        z, s = design.z_bar + rng.uniform(-0.5, 0.5, 3), rng.uniform(0.02, 0.1)
+        low = z - rng.uniform(0, 1, 3) * width
+        period = (s, s) if width == 0.0 else (s - 0.01, s + 0.01)
+        box = tuple(zip(low, low + width, strict=True))
+        gradient, _ = proof._gradient_and_hessian(box)
+        form = proof.step.form(box, gradient, proof.step.inputs(box, gradient), period, proof.Q)
+        after = sampled_step(design, z[None], np.array([s]), method)[0]
+        slopes = design.lyapunov.gradient(np.array([z, after]))
+        values = design.lyapunov.V(np.array([z, after]))
+        W = values + np.einsum("bi,ij,bj->b", slopes, proof.region.metric, slopes) / 2
+        g = arb_mat([[v] for v in slopes[0]])
+        said = (g.transpose() * form.center * g)[0, 0]
+        for part in form.parts.values():
+            said += ball(-1.0, 1.0) * (g.transpose() * part * g)[0, 0].abs_upper()
+        said = said * s
+        assert abs(said.mid() - (W[1] - W[0])) <= said.rad() + 1e-12
+        assert width > 0.0 or said.rad() < 0.1 * abs(said.mid())  # and it is worth something

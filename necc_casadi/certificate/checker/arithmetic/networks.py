@@ -22,6 +22,8 @@ __all__ = ["Net"]
 
 #: Arguments of neurons may vary by this much over a piece of a box.
 _SPREAD = 0.25
+#: Cells of a grid along each side of a wide box, by the inputs of a network.
+_CELLS = {1: 64, 2: 16, 3: 4}
 
 
 def _tanh(v: arb) -> tuple[arb, arb, arb, arb]:
@@ -154,6 +156,19 @@ class Net:
             else:
                 self._known[box] = reduce(_union, map(self.enclose, pieces))
         return self._known[box]
+
+    def curvature_on_grid(self, box: Box) -> dict[tuple[int, int], arb]:
+        """∇²f over pairs i ≤ j over a wide box, by cells of a grid that other boxes share."""
+        most = _CELLS.get(self.d, 1)
+        sides = []
+        for lo, hi in box:
+            if not 0 < hi - lo < math.inf:
+                return self(box)[2]
+            step = 2.0 ** math.ceil(math.log2((hi - lo) / most))
+            cells = range(math.floor(lo / step), math.ceil(hi / step))
+            sides.append([(k * step, (k + 1) * step) for k in cells])
+        parts = [self(cell)[2] for cell in product(*sides)]
+        return {pair: reduce(arb.union, (part[pair] for part in parts)) for pair in parts[0]}
 
     def curvature(self, box: Box) -> dict[tuple[int, int], arb]:
         """∇²f over pairs i ≤ j over a small box.

@@ -191,9 +191,10 @@ class Energy:
         first, nc = self.d - self.model.nc, self.model.nc
         frame = arb_mat([[int(first + i == j) for j in range(self.d)] for i in range(nc)])
         slopes = arb_mat([[g(box) for g in grad] for grad in grads])
-        curved = self.k(tuple(ends(c) for c in self.casimirs(box)[0]))[2]
+        curved = self.k.curvature_on_grid(tuple(ends(c) for c in self.casimirs(box)[0]))
+        controller = _unpacked(self.hc.curvature_on_grid(box[first:]), nc)
         return [
-            (_unpacked(self.hc(box[first:])[2], nc), frame),
+            (controller, frame),
             (_unpacked(curved, len(grads)), slopes),
         ]
 

@@ -75,7 +75,9 @@ class StepProof:
         there = [v + upto * r for v, r in zip(values[n:], rate[n:], strict=True)]
         bent: list[list[arb]] | None = None
         if self.heun:
-            S = self.energy.entries(_outwards([*values[:n], *there]))
+            parts = self.energy.curvatures(_outwards([*values[:n], *there]))
+            # without ∇²H, which is about x alone
+            S = reduce(lambda a, b: a + b, (L.transpose() * A * L for A, L in parts))
             bent = (arb_mat(N[n:]) * arb_mat([row[n:] for row in S.tolist()])).tolist()
             more = [_dot(row, rate[n:]) for row in bent]
             there = [
