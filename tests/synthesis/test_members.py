@@ -230,6 +230,7 @@ def test_damping_is_chosen_for_the_slowest_member(own):
 # --- what it is for ------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_whole_family_is_proved_of_which_the_nominal_design_holds_a_part(own):
     task = family_at(own, "0")
     options = Options(whole=True, least_cost=True)
