@@ -150,6 +150,7 @@ def test_the_exported_self_test_allows_what_cancels(tmp_path, text):
     assert done.returncode == 0, done.stdout
 
 
+@pytest.mark.slow
 def test_a_figure_goes_around_a_pole(tmp_path):
     target = "x_c=1,theta=0,v_x=0,v_theta=0"
     code, _, out = run(tmp_path, CART_POLE, "--target", target)

@@ -280,7 +280,9 @@ RUNS = {
 }
 
 
-@pytest.mark.parametrize("status", RUNS)
+@pytest.mark.parametrize(
+    "status", [pytest.param(s, marks=[pytest.mark.slow] * (s == "certified")) for s in RUNS]
+)
 def test_what_a_run_prints_fits_the_schema(status, tmp_path, monkeypatch, capsys):
     code, target, options = RUNS[status]
     monkeypatch.chdir(tmp_path)

@@ -56,14 +56,14 @@ def count_networks(networks: Iterable[CNetwork], real: str) -> Counter[str]:
     return +total
 
 
-def count_text(code: str) -> Counter[str]:
+def count_text(text: str) -> Counter[str]:
     """Operations in straight C code as :func:`necc_casadi.export.casadi2c.c_function` prints it."""
-    roots = len(re.findall(r"\bsqrtf?\(", code))
-    calls = len(re.findall(r"\b(?:a?(?:sin|cos|tan)h?|exp|expm1|log|log1p|pow)f?\(", code))
+    roots = len(re.findall(r"\bsqrtf?\(", text))
+    calls = len(re.findall(r"\b(?:a?(?:sin|cos|tan)h?|exp|expm1|log|log1p|pow)f?\(", text))
     counts = {
-        "multiplications": code.count(" * "),
-        "additions": len(re.findall(r" [+-] ", code)),
-        "divisions": code.count(" / "),
+        "multiplications": text.count(" * "),
+        "additions": len(re.findall(r" [+-] ", text)),
+        "divisions": text.count(" / "),
         "square roots": roots,
         "calls of the C library": calls,
     }

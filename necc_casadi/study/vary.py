@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from math import prod
 
 import sympy as sp
 
@@ -92,18 +93,26 @@ def read_axes(texts: Sequence[str], known: Sequence[str], seeds: str | None) -> 
     OptionError
         For a name that is not known, values that cannot be read, or a grid that is too large.
     """
+    _refuse_many(prod(map(_size, texts)))  # before any values are made
     axes = [_axis(text, known) for text in texts]
     if seeds is not None:
         axes.append(Axis("seed", _seeds(seeds)))
     _refuse_twice([axis.name for axis in axes])
-    count = 1
-    for axis in axes:
-        count *= len(axis.values)
+    _refuse_many(prod(len(axis.values) for axis in axes))
+    return tuple(axes)
+
+
+def _refuse_many(count: int) -> None:
     if count > _MOST:
         raise OptionError(
             "usage", f"--vary: the grid has {count} points", f"At most {_MOST} can be studied."
         )
-    return tuple(axes)
+
+
+def _size(text: str) -> int:
+    """How many values an axis is going to have, if it can be read."""
+    spaced = re.fullmatch(r"[^:]*:[^:]*:\s*(\d{1,7})\s*", text)
+    return int(spaced[1]) if spaced else text.count(",") + 1
 
 
 def grid(axes: Sequence[Axis], index: int) -> dict[str, str]:
@@ -141,7 +150,9 @@ def _seeds(text: str) -> tuple[str, ...]:
         raise OptionError(
             "usage", f"--seeds {text} is not FROM:TO", "--seeds 0:5 stands for seeds 0, 1, 2, 3, 4."
         )
-    return tuple(str(seed) for seed in range(int(found[1]), int(found[2])))
+    first, last = int(found[1]), int(found[2])
+    _refuse_many(last - first)
+    return tuple(map(str, range(first, last)))
 
 
 def _refuse_twice(names: Sequence[str]) -> None:

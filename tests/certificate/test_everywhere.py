@@ -7,6 +7,7 @@ import casadi as ca
 import numpy as np
 import pytest
 import sympy as sp
+from helpers.models import WEIGHTED
 from helpers.problems import problem, solve
 
 from necc_casadi.certificate.checker.check import check
@@ -22,17 +23,6 @@ from necc_casadi.synthesis.options import Options
 from necc_casadi.synthesis.synthesis import design
 
 S = sp.Rational
-
-PENDULUM = """
-import sympy as sp
-q, p, m, g = sp.symbols("q p m g")
-x = (q, p)
-J = sp.Matrix([[0, 1], [-1, 0]])
-R = sp.zeros(2, 2)
-G = sp.Matrix([0, 1])
-H = p**2 / (2 * m) + m * g * (1 - sp.cos(q))
-params = {m: 1, g: 1}
-"""
 
 ARM = """
 import sympy as sp
@@ -77,7 +67,7 @@ def loaded(folder, text, target):
 
 @pytest.fixture(scope="module")
 def task(tmp_path_factory):
-    return loaded(tmp_path_factory.mktemp("everywhere"), PENDULUM, "0")
+    return loaded(tmp_path_factory.mktemp("everywhere"), WEIGHTED, "0")
 
 
 @pytest.fixture(scope="module")

@@ -7,6 +7,7 @@ from itertools import product
 import numpy as np
 import pytest
 import sympy as sp
+from helpers.models import WEIGHTED
 from helpers.problems import problem, solve
 
 from necc_casadi.certificate.checker.check import check
@@ -23,17 +24,6 @@ from necc_casadi.synthesis.options import Options
 
 S = sp.Rational
 
-PENDULUM = """
-import sympy as sp
-q, p, m, g = sp.symbols("q p m g")
-x = (q, p)
-J = sp.Matrix([[0, 1], [-1, 0]])
-R = sp.zeros(2, 2)
-G = sp.Matrix([0, 1])
-H = p**2 / (2 * m) + m * g * (1 - sp.cos(q))
-params = {m: 1, g: 1}
-"""
-
 RANGES = Ranges(
     {"q": (S(-1, 2), S(1))},
     {"m": (S(9, 10), S(11, 10)), "g": (S(19, 20), S(21, 20))},
@@ -44,7 +34,7 @@ RANGES = Ranges(
 @pytest.fixture(scope="module")
 def task(tmp_path_factory):
     path = tmp_path_factory.mktemp("family") / "plant.py"
-    path.write_text(PENDULUM, encoding="utf-8")
+    path.write_text(WEIGHTED, encoding="utf-8")
     return problem(load_model(path), "pi/4")
 
 

@@ -6,6 +6,7 @@ import casadi as ca
 import numpy as np
 import pytest
 import sympy as sp
+from helpers.models import WEIGHTED
 from helpers.problems import problem, solve
 
 from necc_casadi.certificate.checker.check import check
@@ -22,16 +23,7 @@ from necc_casadi.synthesis.options import Options
 
 S = sp.Rational
 
-PENDULUM = """
-import sympy as sp
-q, p, m, g = sp.symbols("q p m g")
-x = (q, p)
-J = sp.Matrix([[0, 1], [-1, 0]])
-R = sp.zeros(2, 2)
-G = sp.Matrix([0, 1])
-H = p**2 / (2 * m) + m * g * (1 - sp.cos(q))
-params = {m: 1, g: 1}
-domain = {q: (-2, 2)}
+PENDULUM = f"""{WEIGHTED}domain = {{q: (-2, 2)}}
 """
 
 RANGES = Ranges(

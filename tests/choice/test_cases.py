@@ -50,6 +50,7 @@ def test_the_joint_arrives_from_everywhere_where_the_choice_is_the_tools(tmp_pat
     assert "starts ask for |u| up to" in line  # more than the motor gives: they are clipped
 
 
+@pytest.mark.slow
 def test_a_design_within_the_limits_is_kept_and_what_is_beyond_them_comes_first(tmp_path):
     run = found(written(tmp_path, PAN_TILT), tmp_path, chosen=Choices(**SMALL))
     data = to_json(run)

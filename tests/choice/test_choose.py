@@ -83,6 +83,7 @@ def test_damping_that_is_given_is_kept(pendulum):
     assert not choice.design.damping[:1, 1:].any()
 
 
+@pytest.mark.slow
 def test_a_region_of_the_default_is_not_given_up():
     """Nothing sees the pole's angle: no global claim, and the default's V holds more."""
     task = problem(load_model(EXAMPLES / "cart_pole.py"), "x=1,theta=pi,p_x=0,p_theta=0")

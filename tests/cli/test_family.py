@@ -7,6 +7,7 @@ from pathlib import Path
 import jsonschema
 import pytest
 from helpers.commands import CERTIFY, DESIGN, check_refusal, design, process
+from helpers.models import WEIGHTED
 
 from necc_casadi.designs.design import Design
 from necc_casadi.designs.family import Family
@@ -14,17 +15,6 @@ from necc_casadi.model.model_file import load_model
 from necc_casadi.pipeline.call import run
 
 ROOT = Path(__file__).resolve().parents[2]
-
-PENDULUM = """
-import sympy as sp
-q, p, m, g = sp.symbols("q p m g")
-x = (q, p)
-J = sp.Matrix([[0, 1], [-1, 0]])
-R = sp.zeros(2, 2)
-G = sp.Matrix([0, 1])
-H = p**2 / (2 * m) + m * g * (1 - sp.cos(q))
-params = {m: 1, g: 1}
-"""
 
 COORDINATES = """
 import sympy as sp
@@ -49,7 +39,7 @@ params = {load: 0}
 def own(tmp_path_factory):
     """A pendulum with an uncertain weight and a disturbance, once: (its folder, the JSON)."""
     folder = tmp_path_factory.mktemp("family")
-    (folder / "own.py").write_text(PENDULUM, encoding="utf-8")
+    (folder / "own.py").write_text(WEIGHTED, encoding="utf-8")
     asked = ("--target", "pi/4", "--uncertain", "g=5%", "--disturbance", "0.1")
     done = process(DESIGN, "own.py", *asked, "--json", "--no-plots", cwd=folder)
     assert done.returncode == 0, done.stderr
@@ -118,7 +108,7 @@ def test_a_forged_family_is_rejected(own, tmp_path):
 )
 def test_ranges_that_are_none_are_refused(tmp_path, options, code, piece):
     model = tmp_path / "own.py"
-    model.write_text(PENDULUM, encoding="utf-8")
+    model.write_text(WEIGHTED, encoding="utf-8")
     target = () if "--target" in options else ("--target", "0")
     check_refusal(design(model, *target, *options, "--json", "--check"), code, piece)
 
@@ -126,7 +116,7 @@ def test_ranges_that_are_none_are_refused(tmp_path, options, code, piece):
 @pytest.mark.parametrize("value", ["[(0.1, 0.2)]", "[(-1, 1), (-1, 1)]", "0.2", "[(1, -1)]"])
 def test_a_disturbance_of_the_file_that_is_none(tmp_path, value):
     model = tmp_path / "own.py"
-    model.write_text(PENDULUM + f"disturbance = {value}\n", encoding="utf-8")
+    model.write_text(WEIGHTED + f"disturbance = {value}\n", encoding="utf-8")
     check_refusal(design(model, "--target", "0", "--json", "--check"), "limits", "disturbance")
 
 
@@ -172,7 +162,7 @@ def test_a_target_that_is_a_range(tmp_path):
 
 def test_a_neural_phi_is_not_proved_and_says_why(tmp_path):
     path = tmp_path / "own.py"
-    path.write_text(PENDULUM, encoding="utf-8")
+    path.write_text(WEIGHTED, encoding="utf-8")
     result = run(path, "pi/4", phi="neural", hidden_k=(4,), hidden_h=(4,), disturbance="0.1")
     claim = next(c for c in result.certificate.claims if c.name == "family")
     assert not claim.holds

@@ -57,6 +57,7 @@ def test_the_same_input_gives_the_same_bytes(tmp_path):
     assert one == other
 
 
+@pytest.mark.slow
 def test_a_rerun_leaves_nothing_of_the_earlier_one(tmp_path):
     out = tmp_path / "out"
     assert run(out, cwd=tmp_path).returncode == 0
@@ -93,6 +94,7 @@ def test_a_file_that_was_changed_by_hand_is_refused(tmp_path):
     assert (tmp_path / "out" / "c" / "main.c").read_text().endswith("/* mine */\n")
 
 
+@pytest.mark.slow
 def test_the_working_folder_as_output(tmp_path):
     (tmp_path / "notes.txt").write_text("mine")
     for arguments in ((), ("--no-plots",)):

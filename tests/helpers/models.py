@@ -13,6 +13,19 @@ H = p**2 / 2 + 1 - sp.cos(q)
 """
 
 
+#: A pendulum whose mass and gravity are parameters.
+WEIGHTED = """
+import sympy as sp
+q, p, m, g = sp.symbols("q p m g")
+x = (q, p)
+J = sp.Matrix([[0, 1], [-1, 0]])
+R = sp.zeros(2, 2)
+G = sp.Matrix([0, 1])
+H = p**2 / (2 * m) + m * g * (1 - sp.cos(q))
+params = {m: 1, g: 1}
+"""
+
+
 #: code, what is appended to a good model, a piece of the message. Also run as a process.
 FAULTS = [
     ("j_not_skew", "J = sp.Matrix([[0, 2], [0, 0]])", "J[0,1] + J[1,0] = 2"),

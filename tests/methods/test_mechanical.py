@@ -193,6 +193,7 @@ def test_forces_of_the_row_that_cannot_be_integrated_prove_nothing():
     assert len(results) == 3
 
 
+@pytest.mark.slow
 def test_the_upright_cart_pole_is_certified(found):
     _, target, results = found("cart_pole")
     matching = results[0]

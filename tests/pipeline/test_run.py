@@ -98,6 +98,7 @@ def long_chain(tmp_path) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_the_summary_of_a_large_plant_is_short(tmp_path):
     """A page, whatever the number of states; the JSON has them all.
 

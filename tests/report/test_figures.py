@@ -229,16 +229,23 @@ def test_written_whole(default_design, response, tmp_path):
 
 def test_a_state_that_does_not_move_is_drawn_at_rest(default_design, response):
     """What the integrator errs by is no response: the axis shows a part of the state's size."""
-    still = np.full(len(response.t), default_design.z_star[2])
+    still = np.full(len(response.t), default_design.z_star[1])
     still[1:] += 1e-13 * np.arange(1, len(still))
-    z = np.column_stack([response.z[:, :2], still])
-    size = default_design.sizes.state[2]
-    axis = figures.responses_figure(default_design, [replace(response, z=z)]).axes[2]
+    z = np.column_stack([response.z[:, 0], still, response.z[:, 2]])
+    size = default_design.sizes.state[1]
+    axis = figures.responses_figure(default_design, [replace(response, z=z)]).axes[1]
     assert np.ptp(axis.get_ylim()) == pytest.approx(0.2 * size)
-    assert np.mean(axis.get_ylim()) == pytest.approx(default_design.z_star[2])
-    z = np.column_stack([response.z[:, :2], default_design.z_star[2] + 1e7 * (still - still[0])])
-    moved = figures.responses_figure(default_design, [replace(response, z=z)]).axes[2]
+    assert np.mean(axis.get_ylim()) == pytest.approx(default_design.z_star[1])
+    travel = default_design.z_star[1] + 1e7 * (still - still[0])
+    z = np.column_stack([response.z[:, 0], travel, response.z[:, 2]])
+    moved = figures.responses_figure(default_design, [replace(response, z=z)]).axes[1]
     assert np.ptp(moved.get_ylim()) < 1e-3 * size
+
+
+def test_a_state_of_the_controller_that_does_not_move_has_no_panel(default_design, response):
+    z = np.column_stack([response.z[:, :2], np.full(len(response.t), default_design.z_star[2])])
+    shown = figures.shown_over_time(default_design, [replace(response, z=z)])
+    assert shown == ["q", "p", "u", "V"]
 
 
 def test_a_quantity_that_rests_sooner_has_a_time_of_its_own():

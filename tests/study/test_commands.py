@@ -58,6 +58,7 @@ def test_a_study_is_a_table_and_a_figure(whole):
     assert (out / "study.png").read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="no SIGKILL there")
 def test_a_study_that_is_killed_goes_on(weighed, whole, tmp_path):
     """Nothing is lost, nothing is done twice, and the table is the undisturbed one."""
@@ -88,6 +89,7 @@ def test_a_study_that_is_killed_goes_on(weighed, whole, tmp_path):
     assert (out / ROWS).read_bytes() == after
 
 
+@pytest.mark.slow
 def test_a_study_on_a_scheduler_that_runs_elsewhere(weighed, whole, tmp_path):
     code = (
         "from distributed import LocalCluster\n"
@@ -161,6 +163,7 @@ def test_a_sweep_has_a_row_for_every_design(weighed, tmp_path):
     assert "6 assignable, 6 refused" in process.stdout
 
 
+@pytest.mark.slow
 def test_a_sweep_designs_as_the_command_does(weighed, tmp_path):
     model, _ = weighed
     out = tmp_path / "sweep"

@@ -51,6 +51,7 @@ def test_axes_are_exact():
         (["m=0:1"], None, "Write --vary m=LO:HI:N"),
         (["m=0:1:1"], None, "with N from 2 on"),
         (["m=0:1:1000000", "target=0:1:1000000"], None, "At most 1000000"),
+        (["m=0:1:2"], "0:999999999", "At most 1000000"),
         (["m=1,x"], None, "--vary m"),
         (["m=1"], "5:0", "--seeds 5:0 is not FROM:TO"),
     ],

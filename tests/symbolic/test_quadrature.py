@@ -29,6 +29,7 @@ def test_known_primitives(f, at, expected):
 coefficients = st.integers(-5, 5)
 
 
+@pytest.mark.slow
 @given(
     coefficients, coefficients, coefficients, st.integers(6, 9), coefficients, st.integers(-2, 2)
 )

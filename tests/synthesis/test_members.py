@@ -6,6 +6,7 @@ import casadi as ca
 import numpy as np
 import pytest
 import sympy as sp
+from helpers.models import WEIGHTED
 from helpers.problems import problem
 from hypothesis import given
 from hypothesis import strategies as st
@@ -24,16 +25,6 @@ from necc_casadi.synthesis.synthesis import design
 
 S = sp.Rational
 
-PENDULUM = """
-import sympy as sp
-q, p, m, g = sp.symbols("q p m g")
-x = (q, p)
-J = sp.Matrix([[0, 1], [-1, 0]])
-R = sp.zeros(2, 2)
-G = sp.Matrix([0, 1])
-H = p**2 / (2 * m) + m * g * (1 - sp.cos(q))
-params = {m: 1, g: 1}
-"""
 #: A mass that no input sees, held by a spring, with a weight that may turn it over.
 UNSEEN = """
 import sympy as sp
@@ -54,7 +45,7 @@ GROWTH = 0.05
 @pytest.fixture(scope="module")
 def own(tmp_path_factory):
     path = tmp_path_factory.mktemp("members") / "plant.py"
-    path.write_text(PENDULUM, encoding="utf-8")
+    path.write_text(WEIGHTED, encoding="utf-8")
     return load_model(path)
 
 
@@ -230,6 +221,7 @@ def test_damping_is_chosen_for_the_slowest_member(own):
 # --- what it is for ------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_whole_family_is_proved_of_which_the_nominal_design_holds_a_part(own):
     task = family_at(own, "0")
     options = Options(whole=True, least_cost=True)
