@@ -51,7 +51,10 @@ def found():
     return of
 
 
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(n, marks=[pytest.mark.slow] * (n in ("vtol", "furuta"))) for n in CASES],
+)
 def test_every_family_gives_a_structure_or_a_reason(found, name):
     _, count, without = CASES[name]
     *_, results = found(name)

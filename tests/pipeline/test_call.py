@@ -34,6 +34,7 @@ def result(tmp_path_factory):
     return found
 
 
+@pytest.mark.slow
 def test_the_command_and_the_call_make_the_same_folder(tmp_path):
     """Same design, same proof, same C code, byte for byte."""
     code, _, err = design(

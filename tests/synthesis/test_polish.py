@@ -94,6 +94,7 @@ def test_no_step_is_taken_to_too_little_curvature(search):
     assert search.at(far).value == np.inf
 
 
+@pytest.mark.slow
 def test_the_worst_start_costs_clearly_less(pendulum, polished):
     before = solve(pendulum, Options(whole=True, least_cost=True))
     cost = bryson(before.sizes, 2)
@@ -106,6 +107,7 @@ def test_the_worst_start_costs_clearly_less(pendulum, polished):
     assert ratio.max() < 1.1
 
 
+@pytest.mark.slow
 def test_everything_is_certified_as_usual(polished):
     assert natural_loss(polished) <= 1e-9
     certificate = certify(polished)
