@@ -6,8 +6,8 @@ LQR, or the whole space is proved at a multiple of LQR's cost. Where the other h
 critical point, it is given up after its default, which costs a second or two, if fewer starts
 arrive.
 
-What is claimed comes first, then how many starts arrive, then the cost; where costs are about
-equal, the larger region.
+What is claimed comes first, then how many starts arrive, how many ask for more than the inputs'
+limits where clipping may do harm, and the cost; where costs are about equal, the larger region.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from dataclasses import dataclass
 
 import sympy as sp
 
+from necc_casadi.certificate.prover.input_limits import holds_everywhere
 from necc_casadi.choice.choose import Choice, choose, default_trial, may_hold_everywhere
 from necc_casadi.choice.decide import NEAR
 from necc_casadi.choice.fitness import response_faults
@@ -121,11 +122,23 @@ def _worse(kept: Judged, other: Judged) -> str | None:
     fewer = _fewer(kept, other)
     if fewer is not None or kept.arrivals > other.arrivals:
         return fewer
+    beyond = _overreaches(kept, other)
+    if beyond is not None or _overreaches(other, kept) is not None:
+        return beyond
     ratio = cost_ratio(kept.response.cost, other.response.cost)
     if ratio is None or 1 / (1 + NEAR) <= ratio <= 1 + NEAR:
         smaller = kept.plant_share < other.plant_share
         return "its region is smaller, at about the same cost" if smaller else None
     return f"it costs {ratio:.3g} times as much" if ratio > 1 else None
+
+
+def _overreaches(kept: Judged, other: Judged) -> str | None:
+    """That more starts ask for too much of the inputs; nothing is where clipping does no harm."""
+    more, fewer = kept.response.beyond, other.response.beyond
+    if more <= fewer or holds_everywhere(kept.design):
+        return None
+    count = len(kept.response.arrived)
+    return f"{more} of {count} starts ask for more than the inputs' limits with it, not {fewer}"
 
 
 def _fewer(trial: Trial, other: Trial) -> str | None:

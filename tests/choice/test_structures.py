@@ -4,6 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import sympy as sp
 from helpers.symbolic_plants import EXAMPLES
 
 from necc_casadi.choice import structures
@@ -15,7 +16,9 @@ from necc_casadi.synthesis.options import Options
 STARTS = 10
 
 
-def designed(cost=1.5, arrivals=STARTS, *, whole=False, proved=True, share=0.5, against=False):
+def designed(
+    cost=1.5, arrivals=STARTS, *, whole=False, proved=True, share=0.5, against=False, beyond=0
+):
     """A judged design as far as structures are compared by it; LQR's cost is 1."""
     arrived = np.arange(STARTS) < arrivals
     response = SimpleNamespace(
@@ -24,7 +27,7 @@ def designed(cost=1.5, arrivals=STARTS, *, whole=False, proved=True, share=0.5, 
         strayed=tuple(range(arrivals, STARTS)),
         exceeded=np.full((STARTS, 1), against),
         peak_u=np.ones((STARTS, 1)),
-        beyond=STARTS,
+        beyond=STARTS if against else beyond,
         starts=np.zeros((STARTS, 1)),
         elsewhere=(),
     )
@@ -38,7 +41,7 @@ def designed(cost=1.5, arrivals=STARTS, *, whole=False, proved=True, share=0.5, 
         response=response,
         fits_limits=not against,
         certificate=SimpleNamespace(stability="stable"),
-        design=SimpleNamespace(loop=SimpleNamespace(plant=plant)),
+        design=SimpleNamespace(loop=SimpleNamespace(plant=plant, feedback=sp.ones(1))),
     )
 
 
@@ -109,6 +112,13 @@ def test_claims_come_before_starts_and_starts_before_cost(decide):
     assert beside(designed(2.0), designed(1.2, 9))[0] == "shaping"
     assert beside(designed(2.0, 9), designed(3.0))[0] == "constant"
     assert beside(designed(2.0), designed(1.8))[0] == "constant"
+
+
+def test_what_asks_for_more_than_the_limits_is_not_taken_for_its_cost(decide):
+    gentle, cheap = designed(2.0, beyond=1), designed(1.2, beyond=4)
+    word = f"4 of {STARTS} starts ask for more than the inputs' limits with it, not 1"
+    of_two = structure("shaping", gentle), structure("constant", cheap, everywhere=True)
+    assert decide(*of_two) == ("shaping", {"constant": word}, 2)
 
 
 def test_of_about_equal_costs_the_larger_region_and_of_equals_the_first_is_kept(decide):

@@ -48,6 +48,9 @@ def largest_invariant_set_is_critical(
         seen = seen[kept, :]
     if not here.defined(sp.Matrix(model.Jcl - model.Rcl)):
         return False
+    # rows of numbers first: one that depends on the state may vanish somewhere in the box
+    order = sorted(range(seen.rows), key=lambda i: bool(seen.row(i).free_symbols))
+    seen = seen[order, :]
     rows = here.independent(seen)
     Z = seen[rows, :]
     columns = here.independent(Z.T)
