@@ -39,10 +39,10 @@ def proof_figure(
         for (left, right), i in zip(axes, shown, strict=True):
             name, unit = states[i], units.get(states[i], "")
             _in_time(left, found, i)
-            finished(left, [("x", "t", "s"), ("y", f"{name} less target", unit)])
+            finished(left, [("x", "time", "s"), ("y", f"{name} less target", unit)])
             if exact:
                 _decay(right, found, i)
-                finished(right, [("x", "t", "s")])
+                finished(right, [("x", "time", "s")])
                 right.set_ylabel(scaled_label(f"|{name} less target|", unit, 0))
                 logarithmic(right, "y")
             else:

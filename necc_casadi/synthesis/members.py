@@ -29,6 +29,10 @@ __all__ = ["Members", "members_of"]
 _CORNERS, _INSIDE = 16, 8
 
 
+#: Differences below this share of the largest entry are rounding.
+_SAME = 1e-12
+
+
 class Members:
     """Energies H_ϑ of members beside the nominal one, of the same states."""
 
@@ -55,7 +59,7 @@ class Members:
         for function in self._hessians:
             more, n = np.zeros((size, size)), len(x_star)
             more[:n, :n] = np.asarray(function(x_star), float)
-            if np.isfinite(more).all() and not any(np.allclose(more, seen) for seen in found):
+            if np.isfinite(more).all() and not any(_are_equal(more, seen) for seen in found):
                 found.append(more)
         return found
 
@@ -105,6 +109,11 @@ def members_of(family: FamilyLoop, units: Sizes, seed: int) -> Members:
     shares = np.concatenate([corners, quasi_random(_INSIDE, count, seed)])
     nominal, energies = energies_of(family, units, shares)
     return Members(nominal, energies, family.loop.plant.n)
+
+
+def _are_equal(one: Vector, other: Vector) -> bool:
+    """Whether matrices differ by rounding only, whatever their unit."""
+    return bool(np.abs(one - other).max() <= _SAME * np.abs(one).max())
 
 
 def _columns(x_star: Vector, offsets: Vector) -> Vector:

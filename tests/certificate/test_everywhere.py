@@ -7,10 +7,10 @@ import casadi as ca
 import numpy as np
 import pytest
 import sympy as sp
+from helpers.certificates import checked_family
 from helpers.models import WEIGHTED
 from helpers.problems import problem, solve
 
-from necc_casadi.certificate.checker.check import check
 from necc_casadi.certificate.prover.certify import certify
 from necc_casadi.certificate.prover.everywhere import prove_everywhere
 from necc_casadi.designs.family import lift
@@ -95,17 +95,10 @@ def folder(family, task, tmp_path):
     return tmp_path
 
 
-def checked(folder, design, family, certificate):
-    for name, text in (("design", design), ("family", family)):
-        (folder / f"{name}.json").write_text(text, encoding="utf-8")
-    (folder / "certificate.json").write_text(json.dumps(certificate), encoding="utf-8")
-    return {result.name: result for result in check(folder)}
-
-
 def test_it_is_proved_and_checked(claim, written, folder):
     assert claim.holds, claim.statement
     assert claim.data["follows"] == "converges"
-    results = checked(folder, *written)
+    results = checked_family(folder, *written)
     assert all(result.holds for result in results.values()), results
 
 
@@ -208,12 +201,12 @@ def test_an_altered_claim_does_not_hold(alter, written, folder):
     design, family, certificate = written
     certificate = json.loads(json.dumps(certificate))
     alter(next(c for c in certificate["claims"] if c["name"] == "everywhere")["data"])
-    assert not checked(folder, design, family, certificate)["everywhere"].holds
+    assert not checked_family(folder, design, family, certificate)["everywhere"].holds
 
 
 def test_it_is_of_the_family_that_is_named(written, folder):
     design, family, certificate = written
-    result = checked(folder, design, family + " ", certificate)["everywhere"]
+    result = checked_family(folder, design, family + " ", certificate)["everywhere"]
     assert not result.holds
     assert "claimed about" in result.statement
 
@@ -239,9 +232,9 @@ def test_where_solutions_go_is_not_claimed_without_a_proof(tmp_path):
     certificate = json.loads(certify(made, region=False).having(claim).to_json())
     text = plant_text(made, task.model.parametric)
     (tmp_path / "plant.json").write_text(text, encoding="utf-8")
-    assert checked(tmp_path, made.text, family.text, certificate)["everywhere"].holds
+    assert checked_family(tmp_path, made.text, family.text, certificate)["everywhere"].holds
     certificate["claims"][-1]["data"]["follows"] = "converges"
-    assert not checked(tmp_path, made.text, family.text, certificate)["everywhere"].holds
+    assert not checked_family(tmp_path, made.text, family.text, certificate)["everywhere"].holds
 
 
 @pytest.mark.slow

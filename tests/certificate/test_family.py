@@ -7,10 +7,10 @@ from itertools import product
 import numpy as np
 import pytest
 import sympy as sp
+from helpers.certificates import checked_family
 from helpers.models import WEIGHTED
 from helpers.problems import problem, solve
 
-from necc_casadi.certificate.checker.check import check
 from necc_casadi.certificate.claims.family import FamilyClaim, proved_share
 from necc_casadi.certificate.claims.family import statement as words
 from necc_casadi.certificate.prover.certify import certify
@@ -65,16 +65,9 @@ def folder(family, task, tmp_path):
     return tmp_path
 
 
-def checked(folder, design, family, certificate):
-    (folder / "design.json").write_text(design, encoding="utf-8")
-    (folder / "family.json").write_text(family, encoding="utf-8")
-    (folder / "certificate.json").write_text(json.dumps(certificate), encoding="utf-8")
-    return {result.name: result for result in check(folder)}
-
-
 def test_it_is_proved_and_checked(claim, written, folder):
     assert claim.holds, claim.statement
-    results = checked(folder, *written)
+    results = checked_family(folder, *written)
     assert all(result.holds for result in results.values()), results
     assert results["family"].statement == claim.statement
 
@@ -131,9 +124,9 @@ def test_a_part_of_a_range_is_certified_again(task, tmp_path):
     certificate = certify(soft, region=False).having(claim)
     assert not certificate.certified
     data = json.loads(certificate.to_json())
-    assert checked(tmp_path, soft.text, family.text, data)["family"].holds
+    assert checked_family(tmp_path, soft.text, family.text, data)["family"].holds
     family_claim(data)["data"]["left"].pop()
-    assert not checked(tmp_path, soft.text, family.text, data)["family"].holds
+    assert not checked_family(tmp_path, soft.text, family.text, data)["family"].holds
 
 
 def shrink(certificate):
@@ -163,7 +156,7 @@ def test_an_altered_claim_does_not_hold(alter, written, folder):
     design, family, certificate = written
     certificate = json.loads(json.dumps(certificate))
     alter(certificate)
-    assert not checked(folder, design, family, certificate)["family"].holds
+    assert not checked_family(folder, design, family, certificate)["family"].holds
 
 
 def renamed(parameters, k, **entries):
@@ -200,20 +193,20 @@ def test_a_loop_that_is_not_of_the_plant_is_found_out(entry, change, fault, writ
     text = json.dumps(data)
     certificate = json.loads(json.dumps(certificate))
     family_claim(certificate)["data"]["family"] = hashlib.sha256(text.encode()).hexdigest()
-    result = checked(folder, design, text, certificate)["family"]
+    result = checked_family(folder, design, text, certificate)["family"]
     assert not result.holds
     assert fault in result.statement
 
 
 def test_the_file_must_be_the_one_that_was_claimed_about(written, folder):
     design, family, certificate = written
-    result = checked(folder, design, family + " ", certificate)["family"]
+    result = checked_family(folder, design, family + " ", certificate)["family"]
     assert not result.holds
     assert "family.json" in result.statement
 
 
 def test_of_unknown_parameters_nothing_holds_without_the_plant(written, tmp_path):
-    result = checked(tmp_path, *written)["family"]
+    result = checked_family(tmp_path, *written)["family"]
     assert not result.holds
     assert "plant.json" in result.statement
 
@@ -223,7 +216,7 @@ def test_a_name_that_writes_lines_is_refused(written, folder):
     data = json.loads(family)
     data["parameters"] = renamed(data["parameters"], 1, name="m\nglobal holds")
     with pytest.raises(OutputError, match="cannot be shown"):
-        checked(folder, design, json.dumps(data), certificate)
+        checked_family(folder, design, json.dumps(data), certificate)
 
 
 def test_no_more_of_a_range_is_told_than_is_proved():

@@ -6,10 +6,10 @@ import casadi as ca
 import numpy as np
 import pytest
 import sympy as sp
+from helpers.certificates import checked_family
 from helpers.models import WEIGHTED
 from helpers.problems import problem, solve
 
-from necc_casadi.certificate.checker.check import check
 from necc_casadi.certificate.claims.members import MembersClaim
 from necc_casadi.certificate.claims.regions import CellBox, packed
 from necc_casadi.certificate.prover.certify import certify
@@ -67,13 +67,6 @@ def folder(family, task, tmp_path):
     return tmp_path
 
 
-def checked(folder, design, family, certificate):
-    for name, text in (("design", design), ("family", family)):
-        (folder / f"{name}.json").write_text(text, encoding="utf-8")
-    (folder / "certificate.json").write_text(json.dumps(certificate), encoding="utf-8")
-    return {result.name: result for result in check(folder)}
-
-
 def test_it_is_proved(claim):
     assert claim.holds, claim.statement
     assert not claim.data["left"]
@@ -82,7 +75,7 @@ def test_it_is_proved(claim):
 
 
 def test_it_is_checked(written, folder):
-    results = checked(folder, *written)
+    results = checked_family(folder, *written)
     assert results["members"].holds, results["members"].statement
     assert results["contents"].holds
 
@@ -202,7 +195,7 @@ def test_an_altered_claim_does_not_hold(alter, written, folder):
     design, family, certificate = written
     certificate = json.loads(json.dumps(certificate))
     alter(next(c for c in certificate["claims"] if c["name"] == "members")["data"])
-    assert not checked(folder, design, family, certificate)["members"].holds
+    assert not checked_family(folder, design, family, certificate)["members"].holds
 
 
 def test_a_grid_is_what_it_says():

@@ -58,3 +58,11 @@ def worded(data, follows) -> str:
 
 def claim(data, name):
     return next(c for c in data["claims"] if c["name"] == name)
+
+
+def checked_family(folder, design, family, certificate):
+    """What the checker says of these texts of a design and its family, by claim."""
+    for name, text in (("design", design), ("family", family)):
+        (folder / f"{name}.json").write_text(text, encoding="utf-8")
+    (folder / "certificate.json").write_text(json.dumps(certificate), encoding="utf-8")
+    return {result.name: result for result in check(folder)}

@@ -92,6 +92,14 @@ def test_what_commutes_is_bounded_by_the_least_of_each_eigenvalue():
     np.testing.assert_allclose(least, np.diag([-3.0, -2.0]), atol=1e-12)
 
 
+@pytest.mark.parametrize("unit", [1.0, 2.0**-60, 2.0**60])
+def test_equal_bends_are_one_in_any_unit(unit):
+    x = ca.SX.sym("x", 1)
+    energies = [ca.Function("H", [x], [unit * b * x**2 / 2]) for b in (1, 2, 1, 2, 3)]
+    found = Members(ca.Function("H", [x], [0]), energies, 1).bends(np.zeros(1), 1)
+    assert [float(b[0, 0]) / unit for b in found] == [1, 2, 3]
+
+
 def test_rise_and_slope_are_those_of_the_energies(own):
     """By hand: the weights of a pendulum, seen from the set-point that each member holds."""
     task = family_at(own, "pi/4", Ranges(uncertain={"g": (S(1, 2), S(3, 2))}))
