@@ -14,7 +14,7 @@ from necc_casadi.certificate.checker.check import check
 from necc_casadi.certificate.checker.evidence import Evidence
 from necc_casadi.certificate.checker.model import StoredDesign
 from necc_casadi.certificate.checker.reading import read_folder
-from necc_casadi.certificate.checker.sampled.sampled import _Sampled
+from necc_casadi.certificate.checker.sampled.sampled import SampledProof
 from necc_casadi.certificate.claims import statements
 from necc_casadi.certificate.claims.certificate import Certificate
 from necc_casadi.certificate.claims.sampled import BEYOND, KEPT, SampledRegion, packed_tree
@@ -131,7 +131,7 @@ def test_a_jump_of_V_that_no_derivative_shows_is_seen(folder, inside):
     width = sp.Rational(hi) - sp.Rational(lo)
     pole = sp.Rational(lo) + width * (sp.Rational(1, 2) if inside else 2)
     model.H += sp.atan(sp.tan((model.z[0] - pole) / width + sp.Rational(11, 7)))
-    proofs = dict(_Sampled(Evidence(model, stored), region).obligations())
+    proofs = dict(SampledProof(Evidence(model, stored), region).obligations())
     assert proofs["everything is smooth on the box"]() is not inside
 
 
@@ -140,7 +140,7 @@ def test_a_jump_of_V_that_no_derivative_shows_is_seen(folder, inside):
 def test_the_form_says_what_a_step_does_to_w(folder, default_design, method, width):
     """W(z⁺) − W(z) = s ∇VᵀΠ∇V, by simulation of plant and controller."""
     _, stored, data = read_folder(folder)
-    proof = _Sampled(
+    proof = SampledProof(
         Evidence(StoredDesign(data), stored), replace(region_of(folder), integrator=method)
     )
     design, rng = default_design.natural, np.random.default_rng(3)
@@ -149,7 +149,7 @@ def test_the_form_says_what_a_step_does_to_w(folder, default_design, method, wid
         low = z - rng.uniform(0, 1, 3) * width
         period = (s, s) if width == 0.0 else (s - 0.01, s + 0.01)
         box = tuple(zip(low, low + width, strict=True))
-        gradient, _ = proof._gradient_and_hessian(box)
+        gradient, _ = proof.gradient_and_hessian(box)
         form = proof.step.form(box, gradient, proof.step.inputs(box, gradient), period, proof.Q)
         after = sampled_step(design, z[None], np.array([s]), method)[0]
         slopes = design.lyapunov.gradient(np.array([z, after]))
