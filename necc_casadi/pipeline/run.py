@@ -41,6 +41,7 @@ from necc_casadi.pipeline.advice import (
     structure_offers,
 )
 from necc_casadi.pipeline.clock import Clock, Say
+from necc_casadi.pipeline.disturbances import read_disturbances
 from necc_casadi.pipeline.families import (
     family_notes,
     family_of,
@@ -402,7 +403,8 @@ def _with_sampled_loop(
     if request.sample_time is None:
         return certificate
     with clock.stage("sampled", "proving the sampled loop"):
-        return with_sampled_loop(made, certificate, request.sample_time, request.integrator)
+        asked = read_disturbances(request, made.loop.plant)
+        return with_sampled_loop(made, certificate, request.sample_time, request.integrator, asked)
 
 
 def _with_setpoints(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -13,7 +13,18 @@ from necc_casadi.certificate.claims.regions import Rows, Side
 from necc_casadi.certificate.claims.rounding import Number, Program
 from necc_casadi.certificate.claims.sampled import Cell, SampledRegion, unpacked, walk
 
-__all__ = ["DisturbedRegion"]
+__all__ = ["Disturbances", "DisturbedRegion"]
+
+
+@dataclass(frozen=True)
+class Disturbances:
+    """What the sampled loop is asked to bear beyond exact arithmetic; units of the model."""
+
+    precision: Number = "double"
+    noise: Mapping[str, float] = field(default_factory=dict)  # of measured states, at most
+    input_error: Mapping[str, float] = field(default_factory=dict)  # of inputs as applied
+    shortest: float | None = None  # period, s; None: a hundredth of the longest
+    delayed: bool = False  # u comes one sample late
 
 
 @dataclass(frozen=True)

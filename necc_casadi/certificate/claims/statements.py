@@ -472,19 +472,19 @@ def disturbed(
         start = start.replace("W", "S", 1)
         late = (
             ", and one sample after it was computed, where S = W + "
-            f"{_up(found.delay * found.period, 3)}|e|² in natural units, e what is applied over the "
-            "first sample less the u of the law"
+            f"{_up(found.delay * found.period, 3)}|e|² in natural units, e what is applied over "
+            "the first sample less the u of the law"
         )
     pairs = zip(states, found.radius, units.state, strict=False)
     radii = ", ".join(f"{name} ± {_up(r * unit, 3)}" for name, r, unit in pairs)
     return (
         f"for every sequence of sampling periods in {periods}, in the C code's arithmetic in "
-        f"{found.precision}, {measured}, {applied}{late}: every solution from {start} in Ω_T of the "
-        "sampled loop is in Ω_T at every sample, after finitely many comes into {W − V(z̄) < "
+        f"{found.precision}, {measured}, {applied}{late}: every solution from {start} in Ω_T of "
+        "the sampled loop is in Ω_T at every sample, after finitely many comes into {W − V(z̄) < "
         f"{limit}}} and stays there, within {radii} of z̄. Assumed: IEEE arithmetic, rounded to "
-        "nearest, without overflow; dt is the period rounded to its type; functions of the C library "
-        f"err by at most {LIBRARY:g} units in the last place, the code's own activations by no more "
-        "than was measured of them (docs/certificate-format.md)"
+        "nearest, without overflow; dt is the period rounded to its type; functions of the C "
+        f"library err by at most {LIBRARY:g} units in the last place, the code's own activations "
+        "by no more than was measured of them (docs/certificate-format.md)"
     )
 
 

@@ -12,7 +12,7 @@ from necc_casadi.cases import Integrator
 from necc_casadi.certificate.claims import statements
 from necc_casadi.certificate.claims.certificate import Certificate
 from necc_casadi.certificate.claims.claim import Claim
-from necc_casadi.certificate.claims.disturbed import DisturbedRegion
+from necc_casadi.certificate.claims.disturbed import Disturbances, DisturbedRegion
 from necc_casadi.certificate.claims.motions import Solutions
 from necc_casadi.certificate.claims.regions import (
     MOST_KEPT,
@@ -35,7 +35,7 @@ from necc_casadi.certificate.prover.integral import prove_integral
 from necc_casadi.certificate.prover.measurement import prove_measurement
 from necc_casadi.certificate.prover.region.proof import RegionProof
 from necc_casadi.certificate.prover.region.region import prove_region, prove_region_within_limits
-from necc_casadi.certificate.prover.sampled.disturbed import Disturbances, prove_disturbed
+from necc_casadi.certificate.prover.sampled.disturbed import prove_disturbed
 from necc_casadi.certificate.prover.sampled.prove import prove_sampled
 from necc_casadi.certificate.prover.setpoints import prove_setpoints
 from necc_casadi.certificate.prover.solutions import what_follows
@@ -81,7 +81,7 @@ def certify(
     integrator
         How ξ is advanced over one.
     disturbances
-        Under which it is to come to z̄ and stay near: the type of the C code's numbers, noise, delay.
+        Under which it is to come to z̄ and stay near: the C code's numbers, noise, delay.
     report
         Called with the stage at hand and the share that is done.
     plants

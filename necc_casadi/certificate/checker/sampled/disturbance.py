@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise, product
 
 import sympy as sp
 from flint import arb, arb_mat
@@ -31,6 +32,7 @@ class Computed:
     box: Box
     inputs: list[arb]
     rates: list[arb]  # of ξ̇
+    earlier: list[arb]  # of a u that was computed a sample before, noise and all; none: no delay
 
 
 @dataclass(frozen=True)
@@ -83,6 +85,26 @@ class DisturbedStep:
             for (lo, hi), e in zip(box, blur, strict=True)
         )
 
+    def earlier(self, box: Box, inputs: Sequence[arb], pieces: int) -> list[arb]:
+        """How far a u that is computed anywhere in a box is off, given its rounding."""
+        parts = max(1, int(pieces ** (1 / len(box))))
+        sides = [
+            list(pairwise([lo + (hi - lo) * (k / parts) for k in range(parts)] + [hi]))
+            for lo, hi in box
+        ]
+        worst = [arb(0)] * self.model.m
+        for piece in product(*sides):
+            off = self._off(piece)[1]
+            worst = [w.max(v) for w, v in zip(worst, off, strict=False)]
+        return [(w + e).upper() for w, e in zip(worst, inputs, strict=True)]
+
+    def _off(self, box: Box) -> tuple[Box, list[arb]]:
+        """What the code may take for (x, ξ) of a box, and how far (u, ξ̇) are off by that."""
+        blur = self.blurred(box)
+        seen = tuple(ends(ball(*side) + _UNIT * e) for side, e in zip(box, blur, strict=True))
+        moved = arb_mat(self.slopes(seen)) * _column(blur)
+        return seen, [v.abs_upper() for (v,) in moved.tolist()]
+
     def over(
         self,
         box: Box,
@@ -98,7 +120,8 @@ class DisturbedStep:
             return None
         own, rates_off = pushed
         u = self.step.inputs(box, gradient)
-        off = [a + arb(e) for a, e in zip(own, self.found.input_error, strict=True)]
+        applied = rounding.earlier or own
+        off = [a + arb(e) for a, e in zip(applied, self.found.input_error, strict=True)]
         given = [v + _UNIT * (e + self.reach) for v, e in zip(u, off, strict=True)]
         sample = self.step.sample(box, gradient, given, period, rates_off)
         if sample is None:
@@ -177,11 +200,9 @@ class DisturbedStep:
     ) -> tuple[list[arb], list[arb]] | None:
         """Errors of the computed u and of ξ⁺ − ξ for each unit of time; None: not known."""
         m, n, u = self.model.m, self.model.n, self.unit
-        blur = self.blurred(box)
-        seen = tuple(ends(ball(*side) + _UNIT * e) for side, e in zip(box, blur, strict=True))
-        first = _matrix(self.slopes(seen)) * _column(blur)
-        own = [(v + e).upper() for (v,), e in zip(first.tolist()[:m], rounding.inputs, strict=True)]
-        rate_off = [v + e for (v,), e in zip(first.tolist()[m:], rounding.rates, strict=True)]
+        blur, (seen, first) = self.blurred(box), self._off(box)
+        own = [(v + e).upper() for v, e in zip(first[:m], rounding.inputs, strict=True)]
+        rate_off = [v + e for v, e in zip(first[m:], rounding.rates, strict=True)]
         rates, xi = self._rates(seen), [ball(*side).abs_upper() for side in box[n:]]
         sizes, off, held, upto = [v.abs_upper() for v in rates], rate_off, seen, ball(0.0, last)
         if self.step.heun:
@@ -194,7 +215,7 @@ class DisturbedStep:
                 for side, r, a, was in zip(box[n:], rates, away, seen[n:], strict=True)
             ]
             held = (*seen[:n], *there)
-            second = _matrix(self.slopes(held)) * _column([*blur[:n], *away])
+            second = arb_mat(self.slopes(held)) * _column([*blur[:n], *away])
             off = [
                 (a + v + e) / 2
                 for a, (v,), e in zip(rate_off, second.tolist()[m:], rounding.rates, strict=True)
@@ -215,15 +236,15 @@ class DisturbedStep:
         """Derivatives of (u, ξ̇) in (x, ξ) over a box."""
         model, energy, size = self.model, self.step.energy, len(box)
         values, (_, slope, curved) = [ball(*side) for side in box], energy.hc(box[model.n :])
-        E = _matrix(_table(self._law(values), size + model.nc))
+        E = arb_mat(_table(self._law(values), size + model.nc))
         inner = [
             [arb(0)] * model.n + [curved[min(i, j), max(i, j)] for j in range(model.nc)]
             for i in range(model.nc)
         ]
-        total = E * _matrix([*energy.entries(box).tolist(), *inner])
+        total = E * arb_mat([*energy.entries(box).tolist(), *inner])
         both = _column([*energy.gradient(box), *slope])
         for j, tape in self._law_slopes.items():
-            moved = _matrix(_table(tape(values), size + model.nc)) * both
+            moved = arb_mat(_table(tape(values), size + model.nc)) * both
             for i in range(total.nrows()):
                 total[i, j] = total[i, j] + moved[i, 0]
         rows: list[list[arb]] = total.tolist()
@@ -236,10 +257,6 @@ class DisturbedStep:
 
 def _upper(A: Linear, v: arb_mat) -> arb_mat:
     return A.magnitude() * v
-
-
-def _matrix(rows: Sequence[Sequence[arb]]) -> arb_mat:
-    return arb_mat([[v for v in row] for row in rows])
 
 
 def _absolute(A: arb_mat) -> arb_mat:

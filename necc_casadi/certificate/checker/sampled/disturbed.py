@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from functools import cached_property
+from dataclasses import replace
+from functools import cached_property, reduce
+from itertools import pairwise
 
 import numpy as np
 from flint import arb, arb_mat
@@ -25,6 +27,8 @@ __all__ = ["check_disturbed"]
 _SLACK = 1e-9
 #: How often a box of the certificate may be halved again; pieces of the periods near z̄.
 _AGAIN, _PIECES = 16, 8
+#: Pieces of the box of the region on which errors of the law are bounded.
+_PARTS = 729
 
 
 def check_disturbed(evidence: Evidence, sampled: bool) -> Checked:
@@ -105,9 +109,11 @@ class _Disturbed:
         bottom = self.energy.value(self.z_bar)
         return bool(bottom + self.found.height <= self.found.level)
 
-    def _computed(self, box: Box) -> Computed:
+    def _computed(self, box: Box, pieces: int = 1) -> Computed:
         seen = self.step.seen(box)
-        return Computed(seen, *self.rounding.over(seen))
+        inputs, rates = self.rounding.over(seen)
+        late = [] if self.found.delay is None else self.step.earlier(box, inputs, pieces)
+        return Computed(seen, inputs, rates, late)
 
     def _kept(self, falls: Falls) -> bool:
         limits = self.model.u_limits or ()
@@ -119,30 +125,50 @@ class _Disturbed:
     def _comes_near(self) -> bool:
         """W may rise in the core alone, up to w_∞, and {W ≤ w_∞} is inside of it."""
         found = self.found
-        shape = self._shape()
+        shape, computed = self._shape(), self._computed(found.core)
         if shape is None:
             return False
-        near, low, high = shape
-        rate, computed = arb(found.core_rate), self._computed(found.core)
+        low, stages = shape[1], [computed]
+        if found.delay is not None:  # at first u may have been computed anywhere
+            stages.insert(0, replace(computed, earlier=self._everywhere.earlier))
+        heights = [self._highest(stage, shape) for stage in stages]
+        known = [height for height in heights if height is not None]
+        if len(known) < len(stages) or not bool(known[-1] <= found.above):
+            return False
+        worst = reduce(arb.max, known)
+        reach = (2 * arb(found.above) / low).sqrt()  # of |C⁻ᵀ(z − z̄)|
+        radii = zip(self.columns, found.radius, strict=True)
+        return (
+            bool(worst < found.height)
+            and found.above < found.height
+            and self._is_within_core((2 * worst / low).sqrt().max(reach))
+            and all(bool(reach * c <= r) for c, r in radii)
+        )
+
+    def _is_within_core(self, reach: arb) -> bool:
+        """Whether every z with |C⁻ᵀ(z − z̄)| ≤ reach is."""
+        sides = zip(self.found.core, self.z_bar, self.columns, strict=True)
+        return all(
+            bool(arb(lo) < arb(a) - reach * c) and bool(arb(b) + reach * c < arb(hi))
+            for (lo, hi), (a, b), c in sides
+        )
+
+    def _highest(self, computed: Computed, shape: tuple[arb, arb, arb]) -> arb | None:
+        """W, or S, above V(z̄) at most where it may not fall, and after a sample; None: unknown."""
+        found, (near, _, high) = self.found, shape
+        rate = arb(found.core_rate)
         gradient, _ = self.exact.gradient_and_hessian(found.core)
         ends = [found.period * k / _PIECES for k in range(_PIECES)] + [found.period]
         least = rise = arb(0)
-        for k in range(_PIECES):
-            falls = self.step.over(found.core, (ends[k], ends[k + 1]), gradient, rate, computed)
+        for period in pairwise(ends):
+            falls = self.step.over(found.core, period, gradient, rate, computed)
             if falls is None or not self._kept(falls):
-                return False
+                return None
             least, rise = least.max(falls.least), rise.max(falls.rise)
         top = high / 2 / (1 - near) ** 2
         if found.delay is not None:
             top = top.max(arb(found.delay) * arb(found.period) / self.step.weight(rate))
-        within = bool(top * least**2 + rise <= found.above) and found.above < found.height
-        reach = (2 * arb(found.above) / low).sqrt()  # of |C⁻ᵀ(z − z̄)|
-        inside = all(
-            bool(arb(lo) < arb(a) - reach * c) and bool(arb(b) + reach * c < arb(hi))
-            for (lo, hi), (a, b), c in zip(found.core, self.z_bar, self.columns, strict=True)
-        )
-        radii = zip(self.columns, found.radius, strict=True)
-        return within and inside and all(bool(reach * c <= r) for c, r in radii)
+        return (top * least**2 + rise).upper()
 
     def _shape(self) -> tuple[arb, arb, arb] | None:
         """‖C∇²VCᵀ − I‖ at most, and bounds of 2(W − V(z̄))/|C⁻ᵀ(z − z̄)|² in the core."""
@@ -172,7 +198,7 @@ class _Disturbed:
 
     @cached_property
     def _everywhere(self) -> Computed:
-        return self._computed(self.region.box)
+        return self._computed(self.region.box, _PARTS)
 
     def _proved(self, cell: Box, node: int, left: int) -> bool:
         box, core = cell[:-1], self.found.core

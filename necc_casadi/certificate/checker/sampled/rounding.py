@@ -161,10 +161,10 @@ class _Layers:
             columns, last = 16 * -(-V.ncols() // 16), index == len(others) - 1
             gamma = ((columns // 16 + 7) if last else (columns // 4 + 6)) * u
             off = V * off + V * (slope + off) * gamma
-            off = _each(off, lambda v, least=2 * columns * tiny: v + least)
+            off = off + arb_mat([[2 * columns * tiny] * d] * off.nrows())
             slope = V * slope
             a, delta = V * t + c, V * t_off + (V * (t + t_off) + c) * gamma
-            delta = _each(delta, lambda v, least=2 * columns * tiny: v + least)
+            delta = delta + arb_mat([[2 * columns * tiny]] * delta.nrows())
         found = []
         for i in range(d):
             total, wrong = slope[0, i], off[0, i]

@@ -21,7 +21,7 @@ import sympy as sp
 
 from necc_casadi.arrays import Truth, Vector
 from necc_casadi.certificate.prover.arithmetic.affine import Affine, negative_definite
-from necc_casadi.certificate.prover.arithmetic.boxes import matrix_enclosure
+from necc_casadi.certificate.prover.arithmetic.boxes import matrix_enclosure, subdivide
 from necc_casadi.certificate.prover.arithmetic.intervals import Interval, matmul, point
 from necc_casadi.certificate.prover.arithmetic.potential import over_pieces
 from necc_casadi.certificate.prover.sampled.step import Push, Sample, Step
@@ -54,6 +54,7 @@ class Computed:
     box: Interval  # (N,)
     inputs: Vector  # (m,)
     rates: Vector  # of ξ̇, (nc,)
+    earlier: Vector | None = None  # of a u that was computed a sample before, noise and all, (m,)
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,6 +82,14 @@ class Disturbed:
         more = _BESIDE * (Z.hi - Z.lo) + self._blurred(Z)
         return Interval(Z.lo - more, Z.hi + more)
 
+    def earlier(self, box: Interval, rounding: Computed, pieces: int) -> Vector:
+        """How far a u that is computed anywhere in a box (N,) is off at most, (m,)."""
+        Z = subdivide(box, max(1, int(pieces ** (1 / len(box.lo)))))
+        blur = self._blurred(Z)
+        slopes = self._slopes(Interval(Z.lo - blur, Z.hi + blur))
+        off = (slopes.magnitude @ blur[..., None])[:, : self._m, 0].max(0)
+        return np.asarray((off + rounding.inputs) * _SECOND, float)
+
     def _over(self, Z: Interval, s: Interval, rate: float, rounding: Computed) -> Falls:
         own, push, near = self._pushed(Z, s, rounding)
         wide = Push(push.inputs + self.reach, push.rates)
@@ -98,7 +107,7 @@ class Disturbed:
             sample, first, bend, through, self._slopes(sample.reached), reached, rate
         )
         falls = negative_definite(form, _EASED)
-        turned_back = np.linalg.inv(self.frame)
+        turned_back: Vector = np.asarray(np.linalg.inv(self.frame), float)
         lengths = _lengths(turned_back.T, first, linear, reached, self._weight(rate))
         square = square + 0.5 * s.hi * _quadratic(bend.magnitude, reached)
         root = np.sqrt(lengths**2 + 4 * rate * square)
@@ -213,8 +222,10 @@ class Disturbed:
         floor = 2 * u**2 * (Z[:, n:].magnitude + last * size) / self.shortest
         rates_off = (off + 8 * u * (size + off) + floor) * _SECOND
         inside = (held.lo >= rounding.box.lo) & (held.hi <= rounding.box.hi)
-        near = np.isfinite(own).all(-1) & np.isfinite(rates_off).all(-1) & inside.all(-1)
-        return own * _SECOND, Push((own + self.input_error) * _SECOND, rates_off), near
+        known = np.isfinite(own).all(-1) & np.isfinite(rates_off).all(-1)
+        near: Truth = np.asarray(known & inside.all(-1), dtype=bool)
+        applied = own if rounding.earlier is None else np.broadcast_to(rounding.earlier, own.shape)
+        return own * _SECOND, Push((applied + self.input_error) * _SECOND, rates_off), near
 
     def _blurred(self, Z: Interval) -> Vector:
         """How far the code's (x, ξ) is from (x, ξ): noise, and rounding to a number of its type."""

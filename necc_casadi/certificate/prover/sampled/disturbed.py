@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
 
 from necc_casadi.arrays import Truth, Vector
-from necc_casadi.certificate.claims.disturbed import DisturbedRegion
+from necc_casadi.certificate.claims.disturbed import Disturbances, DisturbedRegion
 from necc_casadi.certificate.claims.regions import numbers, rows
-from necc_casadi.certificate.claims.rounding import Number
 from necc_casadi.certificate.claims.sampled import SampledRegion
 from necc_casadi.certificate.claims.statements import NotDisturbed
 from necc_casadi.certificate.prover.arithmetic.intervals import Interval, matmul, point
@@ -25,7 +24,7 @@ from necc_casadi.certificate.prover.sampled.rounding import Rounding, programs, 
 from necc_casadi.certificate.prover.sampled.step import Step
 from necc_casadi.designs.design import Design
 
-__all__ = ["Disturbances", "prove_disturbed"]
+__all__ = ["prove_disturbed"]
 
 
 #: The shortest period, as a share of the longest, where none is asked for: rounding of ξ costs
@@ -42,21 +41,12 @@ _BOXES, _DEEPEST = 20_000, 120
 _CORES, _CLOSE = 2.0 ** -np.arange(1, 22, 2), 1.1
 #: Pieces of the periods in the core.
 _PIECES = 8
+#: Pieces of the box of the region on which errors of the law are bounded.
+_PARTS = 729
 #: What is given away for other arithmetic: of heights, of w_∞ and of radii.
 _EASED, _ABOVE, _RADIUS = 1e-6, 0.02, 0.01
 #: α, as multiples of the largest ∇²V(z̄).
 _ALPHAS = 2.0 ** np.arange(-3, 9)
-
-
-@dataclass(frozen=True)
-class Disturbances:
-    """What is asked of the sampled loop beyond exact arithmetic; units of the model."""
-
-    precision: Number = "double"
-    noise: Mapping[str, float] | None = None  # of measured states, at most, by name
-    input_error: Mapping[str, float] | None = None  # of applied inputs
-    shortest: float | None = None  # period, s
-    delayed: bool = False  # u comes one sample late
 
 
 def prove_disturbed(
@@ -92,6 +82,7 @@ class _Proof:
     rounding: Rounding
     asked: Disturbances
     period: float
+    _known: dict[Disturbed, Computed] = field(default_factory=dict)
 
     def found(self) -> DisturbedRegion | NotDisturbed:
         loop = self._loop
@@ -108,8 +99,7 @@ class _Proof:
 
     def _cover(self, loop: Disturbed, core: _Core, rate: float) -> DisturbedRegion | None:
         region, design, top = self.region, self.design, self.region.level
-        box = Interval(*np.array(region.box).T)
-        computed = self._computed(loop, box)
+        box, computed = self._box, self._everywhere(loop)
         limits = design.natural.loop.plant.u_limits
 
         wide = replace(loop, step=replace(loop.step, potential=TabledPotential(design.natural)))
@@ -171,24 +161,39 @@ class _Proof:
         shape = self._shape(box)
         if shape is None or not fast > 0:
             return None
-        near, low, high = shape
         ends = np.linspace(0.0, self.period, _PIECES + 1)
         Z = Interval(*(np.repeat(v[None], _PIECES, 0) for v in (box.lo, box.hi)))
         s = Interval(*(np.array(v) for v in zip(*pairwise(ends), strict=True)))
-        computed, limits = self._computed(loop, box), self.design.natural.loop.plant.u_limits
+        computed, low = self._computed(loop, box), shape[1]
+        stages = [computed]
+        if loop.delay is not None:  # at first u may have been computed anywhere
+            stages.insert(0, replace(computed, earlier=self._everywhere(loop).earlier))
         for share in _CORE_RATES:
             rate = share * fast
-            falls = loop.over(Z, s, rate, computed)
-            if not (
-                falls.proved & within(falls.inputs, self.design.natural.loop.plant.u_limits)
-            ).all():
+            heights = [self._above(loop, Z, s, rate, stage, shape) for stage in stages]
+            known = [height for height in heights if height is not None]
+            if len(known) < len(stages):
                 continue
-            above = self._highest(loop, falls, rate, near, high) * (1 + _ABOVE)
-            reach = float(np.sqrt(2 * above / low)) * (1 + _EASED)
-            if reach < (1 - _EASED) * half and above < self.region.height:
-                return _Core(box, rate, above, reach)
+            reaches = [float(np.sqrt(2 * v / low)) * (1 + _EASED) for v in known]
+            if max(reaches) < (1 - _EASED) * half and max(known) < self.region.height:
+                return _Core(box, rate, known[-1], reaches[-1])
             return None
         return None
+
+    def _above(
+        self,
+        loop: Disturbed,
+        Z: Interval,
+        s: Interval,
+        rate: float,
+        computed: Computed,
+        shape: tuple[float, float, float],
+    ) -> float | None:
+        """w_∞ − V(z̄); None: W is not proved to fall, or u to be within its limits."""
+        falls, limits = loop.over(Z, s, rate, computed), self.design.natural.loop.plant.u_limits
+        if not (falls.proved & within(falls.inputs, limits)).all():
+            return None
+        return self._highest(loop, falls, rate, shape[0], shape[2]) * (1 + _ABOVE)
 
     def _highest(
         self, loop: Disturbed, falls: Falls, rate: float, near: float, high: float
@@ -216,9 +221,22 @@ class _Proof:
 
     # --- what is known before ---------------------------------------------------------------------
 
-    def _computed(self, loop: Disturbed, box: Interval) -> Computed:
+    def _computed(self, loop: Disturbed, box: Interval, pieces: int = 1) -> Computed:
+        """On a box, a u that is late computed on it, too."""
         seen = loop.seen(box)
-        return Computed(seen, *self.rounding.over(seen))
+        found = Computed(seen, *self.rounding.over(seen))
+        late = None if loop.delay is None else loop.earlier(box, found, pieces)
+        return replace(found, earlier=late)
+
+    def _everywhere(self, loop: Disturbed) -> Computed:
+        """On the box of the region, once for each loop."""
+        if loop not in self._known:
+            self._known[loop] = self._computed(loop, self._box, _PARTS)
+        return self._known[loop]
+
+    @cached_property
+    def _box(self) -> Interval:
+        return Interval(*np.array(self.region.box).T)
 
     @cached_property
     def _loop(self) -> Disturbed | None:
@@ -241,15 +259,14 @@ class _Proof:
         if not asked.delayed:
             return plain
         scale = float(np.linalg.eigvalsh(self._stiffness)[-1])
-        tried = [replace(plain, delay=float(scale * a)) for a in _ALPHAS]
-        rates = [float(self._fastest(loop).min()) for loop in tried]
+        alphas = [float(scale * a) for a in _ALPHAS]
+        rates = [float(self._fastest(replace(plain, delay=alpha)).min()) for alpha in alphas]
         best = int(np.argmax(rates))
         if not rates[best] > 0:
             return None
-        loop = tried[best]
         height = self.region.height * (1 + _EASED)
-        most = float(np.sqrt(height / (loop.delay * self.period)))
-        return replace(loop, reach=np.full(m, most * (1 + _EASED)))
+        most = float(np.sqrt(height / (alphas[best] * self.period)))
+        return replace(plain, delay=alphas[best], reach=np.full(m, most * (1 + _EASED)))
 
     @property
     def _shortest(self) -> float:
@@ -297,5 +314,5 @@ def _length(v: Interval) -> Vector:
     return length
 
 
-def _named(sizes: Mapping[str, float] | None, names: tuple[str, ...] | list[str]) -> Vector:
-    return np.array([(sizes or {}).get(str(name), 0.0) for name in names], float)
+def _named(sizes: Mapping[str, float], names: Sequence[object]) -> Vector:
+    return np.array([sizes.get(str(name), 0.0) for name in names], float)

@@ -44,7 +44,7 @@ _PIECES = {1: 256, 2: 16, 3: 6}
 
 #: Names of the operations.
 _BINARY = {ca.OP_ADD: "add", ca.OP_SUB: "sub", ca.OP_MUL: "mul", ca.OP_DIV: "div"}
-_OPERATIONS = {
+_UNARY = {
     ca.OP_NEG: "neg", ca.OP_SQ: "square", ca.OP_SQRT: "sqrt", ca.OP_SIN: "sin", ca.OP_COS: "cos",
     ca.OP_TAN: "tan", ca.OP_ASIN: "asin", ca.OP_ACOS: "acos", ca.OP_ATAN: "atan",
     ca.OP_SINH: "sinh", ca.OP_COSH: "cosh", ca.OP_TANH: "tanh", ca.OP_ASINH: "asinh",
@@ -62,47 +62,43 @@ def programs(design: Design) -> tuple[Program, Program] | None:
     """(x, ξ) -> c and (x, ξ, ∇Hc, ∇K) -> (u, ξ̇) of the C code; None: one is not covered."""
     law = law_of(design)
     seen = [law.x, law.s]
-    first = _program(ca.Function("c", seen, [law.casimirs]))
-    made = ca.Function("law", [*seen, law.grad_hc, law.gamma], [ca.vertcat(law.u, law.rate)])
-    second = _program(made)
+    first = _program(seen, law.casimirs)
+    second = _program([*seen, law.grad_hc, law.gamma], ca.vertcat(law.u, law.rate))
     return None if first is None or second is None else (first, second)
 
 
-def _program(function: ca.Function) -> Program | None:
-    starts = np.cumsum([0, *(function.numel_in(i) for i in range(function.n_in()))])
+def _program(arguments: Sequence[ca.SX], result: ca.SX) -> Program | None:
+    """The operations in the order of the C code; None: one is not covered."""
+    function = ca.Function("program", arguments, [ca.densify(ca.vec(result))])
+    starts = np.cumsum([0, *(a.numel() for a in arguments)]).tolist()
     outputs = [0] * function.numel_out(0)
-    held: dict[int, int] = {}
+    held: dict[int, int] = {}  # work vector: the place of what it holds now
     steps: list[Step] = []
-    dense = all(function.sparsity_out(i).is_dense() for i in range(function.n_out()))
+
+    def add(name: str, places: Sequence[int], constant: float = 0.0) -> int:
+        steps.append((name, tuple(places), constant))
+        return int(starts[-1]) + len(steps) - 1
+
     for i in range(function.n_instructions()):
         code = function.instruction_id(i)
         taken, made = function.instruction_input(i), function.instruction_output(i)
         if code == ca.OP_INPUT:
             held[made[0]] = int(starts[taken[0]]) + taken[1]
-            continue
-        if code == ca.OP_OUTPUT:
+        elif code == ca.OP_OUTPUT:
             outputs[made[1]] = held[taken[0]]
-            continue
-        step = _step(code, [held[k] for k in taken[: 2 if code in _BINARY else 1]], function, i)
-        if step is None:
+        elif code == ca.OP_CONST:
+            held[made[0]] = add("const", (), float(function.instruction_constant(i)))
+        elif code in _BINARY:
+            held[made[0]] = add(_BINARY[code], [held[k] for k in taken])
+        elif code == ca.OP_TWICE:
+            held[made[0]] = add("add", [held[taken[0]]] * 2)
+        elif code == ca.OP_INV:
+            held[made[0]] = add("div", [add("const", (), 1.0), held[taken[0]]])
+        elif code in _UNARY:
+            held[made[0]] = add(_UNARY[code], [held[taken[0]]])
+        else:
             return None
-        if code == ca.OP_INV:
-            steps.append(("const", (), 1.0))
-            step = ("div", (int(starts[-1]) + len(steps) - 1, *step[1]), 0.0)
-        steps.append(step)
-        held[made[0]] = int(starts[-1]) + len(steps) - 1
-    return Program(int(starts[-1]), tuple(steps), tuple(outputs)) if dense else None
-
-
-def _step(code: int, places: list[int], function: ca.Function, i: int) -> Step | None:
-    if code == ca.OP_CONST:
-        return "const", (), float(function.instruction_constant(i))
-    if code == ca.OP_TWICE:
-        return "add", (places[0], places[0]), 0.0
-    if code == ca.OP_INV:
-        return "inv", (places[0],), 0.0
-    name = _BINARY.get(code) or _OPERATIONS.get(code)
-    return None if name is None else (name, tuple(places), 0.0)
+    return Program(int(starts[-1]), tuple(steps), tuple(outputs))
 
 
 @dataclass(frozen=True)
