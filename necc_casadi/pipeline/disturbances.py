@@ -5,19 +5,19 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from necc_casadi.certificate.claims.disturbed import Disturbances
 from necc_casadi.errors import OptionError
 from necc_casadi.model.modulated import System
 from necc_casadi.symbolic.expressions import parse_number
 
 if TYPE_CHECKING:
+    from necc_casadi.certificate.claims.disturbed import Disturbances
     from necc_casadi.pipeline.request import Request
 
-__all__ = ["read_disturbances"]
+__all__ = ["check_disturbances", "read_disturbances"]
 
 
-def read_disturbances(request: Request, system: System) -> Disturbances:
-    """What is asked of the sampled loop beyond exact arithmetic.
+def check_disturbances(request: Request, system: System) -> None:
+    """Refuse what the sampled loop cannot be asked.
 
     Raises
     ------
@@ -43,14 +43,29 @@ def read_disturbances(request: Request, system: System) -> Disturbances:
             f"--min-sample-time {shortest:g} is above --sample-time {longest:g}",
             "Give the shortest time between two calls.",
         )
-    names = [str(s) for s in system.x]
+    _noise(request, system)
+    _input_error(request, system)
+
+
+def read_disturbances(request: Request, system: System) -> Disturbances:
+    """What is asked of the sampled loop beyond exact arithmetic, once it is checked."""
+    from necc_casadi.certificate.claims.disturbed import Disturbances
+
     return Disturbances(
         precision=request.real,
-        noise=_sizes("--noise", request.noise, names),
-        input_error=_sizes("--input-error", request.input_error, system.input_names),
-        shortest=shortest,
+        noise=_noise(request, system),
+        input_error=_input_error(request, system),
+        shortest=request.min_sample_time,
         delayed=request.delay,
     )
+
+
+def _noise(request: Request, system: System) -> dict[str, float]:
+    return _sizes("--noise", request.noise, [str(s) for s in system.x])
+
+
+def _input_error(request: Request, system: System) -> dict[str, float]:
+    return _sizes("--input-error", request.input_error, system.input_names)
 
 
 def _sizes(option: str, text: str | None, names: Sequence[str]) -> dict[str, float]:

@@ -26,7 +26,7 @@ from necc_casadi.model.file_entries import damping_matrix
 from necc_casadi.model.model_file import Model, load_model
 from necc_casadi.model.plant import Plant
 from necc_casadi.model.target import free_coordinates, parse_target, target_from_model
-from necc_casadi.pipeline.disturbances import read_disturbances
+from necc_casadi.pipeline.disturbances import check_disturbances
 from necc_casadi.pipeline.ranges import middle_of_target
 from necc_casadi.synthesis.options import Options, check_options, paper_options
 from necc_casadi.verdict.controller_structures import suggest_controllers
@@ -272,7 +272,7 @@ def read_options(request: Request, model: Model) -> Options:
     check_options(options)
     if request.integral is not False:
         _check_integral(request, options, model)
-    read_disturbances(request, model.system)
+    check_disturbances(request, model.system)
     if model.told and model.parametric is None:
         raise OptionError(
             "param",

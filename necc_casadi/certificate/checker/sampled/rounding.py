@@ -75,11 +75,11 @@ def rounded(
             off = (u + arb(CONSTANTS)) * abs(arb(constant)) + tiny
             known.append((arb(constant), off))
         else:
-            known.append(_operated(name, [known[k] for k in places], u, tiny))
+            known.append(_applied(name, [known[k] for k in places], u, tiny))
     return [(v, (e * _SECOND).upper()) for v, e in (known[k] for k in program.outputs)]
 
 
-def _operated(name: str, given: Sequence[_Value], u: arb, tiny: arb) -> _Value:
+def _applied(name: str, given: Sequence[_Value], u: arb, tiny: arb) -> _Value:
     (a, a_off), (b, b_off) = given[0], given[-1]
     if name == "neg":
         return -a, a_off

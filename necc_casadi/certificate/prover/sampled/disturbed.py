@@ -38,7 +38,7 @@ _POINTS, _SHARES = 60, (0.02, 0.5, 1.0)
 _BOXES, _DEEPEST = 20_000, 120
 #: Halves of the core, in units in which ∇²V(z̄) = I and as shares of the one of `sampled`: the first
 #: with a radius that is close to the least one.
-_CORES, _CLOSE = 2.0 ** -np.arange(1, 22, 2), 1.1
+_CORES, _CLOSE = 2.0 ** -np.arange(1, 22, 2), 1.05
 #: Pieces of the periods in the core.
 _PIECES = 8
 #: Pieces of the box of the region on which errors of the law are bounded.
@@ -208,7 +208,8 @@ class _Proof:
     def _shape(self, box: Interval) -> tuple[float, float, float] | None:
         """‖C∇²VCᵀ − I‖ at most, and bounds of 2(W − V(z̄))/|C⁻ᵀ(z − z̄)|² over a box around z̄."""
         C = self._frame
-        S = self._potential.jet(Interval(box.lo[None], box.hi[None])).hess
+        over, Z = self._potential, Interval(box.lo[None], box.hi[None])
+        S = (over.sharp_jet(Z) if over.has_sharp_jet else over.jet(Z)).hess
         turned = matmul(matmul(point(C[None]), S), point(C.T[None])) - np.eye(len(C))
         near = float(np.sqrt((turned.magnitude**2).sum())) * (1 + _EASED)
         back = np.linalg.inv(C)
@@ -272,7 +273,7 @@ class _Proof:
     def _shortest(self) -> float:
         least = self.asked.shortest
         least = _SHORTEST * self.period if least is None else least / self.design.units.time
-        return least * (1 - _EASED)
+        return least * (1 - _EASED / 100)
 
     def _fastest(self, loop: Disturbed, near: bool = False) -> Vector:
         """Rates at states of the region, or at z̄."""
@@ -315,4 +316,5 @@ def _length(v: Interval) -> Vector:
 
 
 def _named(sizes: Mapping[str, float], names: Sequence[object]) -> Vector:
-    return np.array([sizes.get(str(name), 0.0) for name in names], float)
+    """By name; a little more, so that what is said is not less than what is asked."""
+    return np.array([sizes.get(str(name), 0.0) for name in names], float) * (1 + _EASED / 100)

@@ -129,14 +129,14 @@ def rounded(
                 off = (u + CONSTANTS) * abs(constant) + tiny
                 known.append(_Value(point(np.array([constant])), off))
             else:
-                known.append(_operated(name, [known[k] for k in places], u, tiny))
+                known.append(_applied(name, [known[k] for k in places], u, tiny))
     found = [known[k] for k in program.outputs]
     lo, hi = ([float(getattr(v.range, end)[0]) for v in found] for end in ("lo", "hi"))
     bounds = np.array([v.error for v in found]) * _SECOND
     return Interval(np.array(lo), np.array(hi)), np.where(np.isnan(bounds), np.inf, bounds)
 
 
-def _operated(name: str, given: Sequence[_Value], u: float, tiny: float) -> _Value:
+def _applied(name: str, given: Sequence[_Value], u: float, tiny: float) -> _Value:
     a, b = given[0], given[-1]
     if name == "neg":
         return _Value(-a.range, a.error)
