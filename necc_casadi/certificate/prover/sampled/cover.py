@@ -20,7 +20,7 @@ from necc_casadi.certificate.prover.arithmetic.intervals import Interval, matmul
 from necc_casadi.certificate.prover.arithmetic.potential import Potential
 from necc_casadi.certificate.prover.sampled.step import Step
 
-__all__ = ["Cover", "cover", "level_by_states", "lower_bounds", "within"]
+__all__ = ["Cover", "cover", "level_by_states", "where_above", "within"]
 
 
 #: Boxes at once, and how often one is halved at most.
@@ -33,9 +33,8 @@ _HOPELESS = 4000
 
 #: Whether what is to be shown of boxes (B, N), with ∇W on them, is, (B,).
 Settled = Callable[[Interval, Interval], Truth]
-#: Whether what is to be shown of boxes (B, N) and periods (B,) is, and whether, where it is not,
-#: the states alone are in the way.
-Proof = Callable[[Interval, Interval], tuple[Truth, Truth]]
+#: Whether what is to be shown of boxes (B, N) and periods (B,) is.
+Proof = Callable[[Interval, Interval], Truth]
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,7 +99,6 @@ def cover(
     most: int,
     least: float,
     proof: Proof | None = None,
-    deepest: int = _DEEPEST,
 ) -> Cover:
     """Boxes that prove {W < w₀} for the largest w₀ ≤ `level` that was found, −∞ where none was.
 
@@ -116,8 +114,6 @@ def cover(
         Levels below this one are of no use.
     proof
         What is to be shown of boxes; by default that W falls, with u within its limits.
-    deepest
-        How often a box is halved at most.
     """
     tree, done, kept = _Tree(root), 0, False
     heap: list[tuple[float, int]] = [(-np.inf, 0)]
@@ -137,20 +133,19 @@ def cover(
             np.array([tree.lo[i] for i in taken]), np.array([tree.hi[i] for i in taken])
         )
         Z, s = cells[:, :-1], cells[:, -1]
-        lowest, _ = lower_bounds(step.potential, Q, Z)
+        lowest, _ = _lower_bounds(step.potential, Q, Z)
         lowest = np.maximum(lowest, bounds)
-        proved, of_states = np.zeros((2, len(taken)), dtype=bool)
+        proved = np.zeros(len(taken), dtype=bool)
         reached = np.flatnonzero(lowest <= level)
         if len(reached):
-            proved[reached], of_states[reached] = proof(Z[reached], s[reached])
+            proved[reached] = proof(Z[reached], s[reached])
         for k, i in enumerate(taken):
             if lowest[k] > level or proved[k]:
                 tree.node[i] = BEYOND if lowest[k] > level else KEPT
                 kept = kept or bool(proved[k])
                 continue
-            loose = (tree.hi[i] - tree.lo[i]) * weights
-            side = int(np.argmax(loose[:-1] if of_states[k] else loose))
-            if tree.depth[i] >= deepest:
+            side = int(np.argmax((tree.hi[i] - tree.lo[i]) * weights))
+            if tree.depth[i] >= _DEEPEST:
                 level = min(level, float(lowest[k]))
                 continue
             for j in tree.split(i, side):
@@ -162,10 +157,9 @@ def _falls(step: Step, Q: Vector) -> Proof:
     """Whether W falls, with u within its limits."""
     limits = step.potential.design.loop.plant.u_limits
 
-    def proof(Z: Interval, s: Interval) -> tuple[Truth, Truth]:
+    def proof(Z: Interval, s: Interval) -> Truth:
         sample = step.over(Z, s)
-        falls = negative_definite(sample.form(Q), _EASED) & within(sample.inputs, limits)
-        return falls, np.zeros_like(falls)
+        return negative_definite(sample.form(Q), _EASED) & within(sample.inputs, limits)
 
     return proof
 
@@ -185,12 +179,12 @@ def level_by_states(
     core.
     """
     for side in _sides(box):
-        level = _where_above(potential, Q, side, level, most, least, _steep_within(side))
+        level = where_above(potential, Q, side, level, most, least, _steep_within(side))
 
     def settled(Z: Interval, slope: Interval) -> Truth:
         return _inside(Z, core) | _apart(potential.jet(Z).grad)
 
-    return _where_above(potential, Q, box, level, most, least, settled)
+    return where_above(potential, Q, box, level, most, least, settled)
 
 
 def _steep_within(side: Interval) -> Settled:
@@ -204,7 +198,7 @@ def _steep_within(side: Interval) -> Settled:
     return settled
 
 
-def _where_above(
+def where_above(
     potential: Potential,
     Q: Vector,
     box: Interval,
@@ -221,7 +215,7 @@ def _where_above(
             return heap[0][0]
         taken = [heapq.heappop(heap) for _ in range(min(_BATCH, len(heap)))]
         Z = Interval(*(np.array(v) for v in zip(*(cells[k] for _, k in taken), strict=True)))
-        lowest, slope = lower_bounds(potential, Q, Z)
+        lowest, slope = _lower_bounds(potential, Q, Z)
         loose = np.where(np.isfinite(slope.rad), slope.rad, 1.0) * (Z.hi - Z.lo)
         left_open = (lowest <= level) & ~settled(Z, slope)
         for (bound, k), low, share, left in zip(taken, lowest, loose, left_open, strict=True):
@@ -249,7 +243,7 @@ def _sides(box: Interval) -> list[Interval]:
     return result
 
 
-def lower_bounds(potential: Potential, Q: Vector, Z: Interval) -> tuple[Vector, Interval]:
+def _lower_bounds(potential: Potential, Q: Vector, Z: Interval) -> tuple[Vector, Interval]:
     """Lower bounds of W over boxes (B, N), by its mean-value form, (B,), and ∇W; −∞: unknown."""
     with np.errstate(all="ignore"):
         jet, middle = potential.jet(Z), potential.jet(point(Z.mid))

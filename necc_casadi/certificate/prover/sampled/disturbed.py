@@ -17,9 +17,10 @@ from necc_casadi.certificate.claims.statements import NotDisturbed
 from necc_casadi.certificate.prover.arithmetic.intervals import Interval, matmul, point
 from necc_casadi.certificate.prover.arithmetic.potential import Potential
 from necc_casadi.certificate.prover.arithmetic.tables import TabledPotential
-from necc_casadi.certificate.prover.sampled.cover import cover, within
+from necc_casadi.certificate.prover.sampled.cover import cover, where_above, within
 from necc_casadi.certificate.prover.sampled.disturbance import Computed, Disturbed, Falls
 from necc_casadi.certificate.prover.sampled.metric import Guide
+from necc_casadi.certificate.prover.sampled.prove import rates_of_change
 from necc_casadi.certificate.prover.sampled.rounding import Rounding, programs, unit
 from necc_casadi.certificate.prover.sampled.step import Step
 from necc_casadi.designs.design import Design
@@ -34,8 +35,8 @@ _SHORTEST = 0.01
 _RATES, _CORE_RATES = (0.4, 0.15), (0.95, 0.85, 0.6, 0.3)
 #: States and shares of the longest period at which it is looked at.
 _POINTS, _SHARES = 60, (0.02, 0.5, 1.0)
-#: Boxes that may be looked at, and how often one is halved.
-_BOXES, _DEEPEST = 20_000, 120
+#: Boxes that may be looked at.
+_BOXES = 20_000
 #: Halves of cores, in units in which ∇²V(z̄) = I and as shares of the one of `sampled`; how close to
 #: the least radius that of the last one is; the share of the height that is worth having.
 _CORES, _CLOSE, _LEAST = 2.0 ** -np.arange(1, 17.0), 1.05, 0.1
@@ -71,6 +72,7 @@ class _Core:
     half: float  # |C⁻ᵀ(z − z̄)| on its sides is at least this
     low: float  # 2(W − V(z̄)) ≥ low |C⁻ᵀ(z − z̄)|² in it
     rate: float
+    least: float  # δ
     above: float  # w_∞ − V(z̄)
     earlier: Vector | None  # errors of a u that was computed in it, where u is late
 
@@ -113,24 +115,31 @@ class _Proof:
         return "no region is proved from which solutions come near the minimum"
 
     def _cover(self, loop: Disturbed, cores: list[_Core], rate: float) -> DisturbedRegion | None:
-        region, design, top = self.region, self.design, self.region.level
+        region, design, first, last = self.region, self.design, cores[0], cores[-1]
         box, computed = self._box, self._everywhere(loop)
         limits = design.natural.loop.plant.u_limits
-
         wide = replace(loop, step=replace(loop.step, potential=TabledPotential(design.natural)))
+        slope = float(np.sqrt(first.least * first.half / 2))  # between what there is and is needed
 
-        def proof(Z: Interval, s: Interval) -> tuple[Truth, Truth]:
-            inner = ((around.lo <= Z.lo) & (Z.hi <= around.hi)).all(-1)
+        def steep(Z: Interval, _: Interval) -> Truth:
+            inner = ((first.box.lo <= Z.lo) & (Z.hi <= first.box.hi)).all(-1)
+            g = matmul(point(loop.frame[None]), wide.step.potential.jet(Z).grad[..., None])[..., 0]
+            return np.asarray(inner | (_length(g) > slope * (1 + _EASED)), dtype=bool)
+
+        def proof(Z: Interval, s: Interval) -> Truth:
             found = wide.over(Z, s, rate, computed)
-            steep = _length(found.slopes) > found.least * (1 + _EASED)
-            kept = found.proved & within(found.inputs, limits)
-            return inner | (kept & steep), kept & ~steep
+            small = found.least < slope * (1 - _EASED)
+            return np.asarray(found.proved & within(found.inputs, limits) & small, dtype=bool)
 
-        around, last = cores[0].box, cores[-1]
-        least = self._bottom + max(cores[0].above, _LEAST * region.height)
+        least = self._bottom + max(first.above, _LEAST * region.height)
+        top = where_above(wide.step.potential, loop.Q, box, region.level, _BOXES, least, steep)
+        if not top > least:
+            return None
         root = Interval(np.append(box.lo, 0.0), np.append(box.hi, self.period))
-        weights = np.append(np.sqrt(np.diag(self._stiffness)), _WEIGHT / self.period)
-        got = cover(wide.step, loop.Q, root, top, weights, _BOXES, least, proof, _DEEPEST)
+        guide = Guide(design.natural, loop.Q)
+        points = guide.inside(region.height, _POINTS)
+        weights = rates_of_change(wide.step, guide, points, self.period)
+        got = cover(wide.step, loop.Q, root, top, weights, _BOXES, least, proof)
         if not got.level > least:
             return None
         height = (1 - _EASED) * (got.level - self._bottom)
@@ -148,6 +157,7 @@ class _Proof:
             got.level,
             height,
             rate,
+            slope,
             got.tree,
             tuple(Core(_sides(core.box), core.rate) for core in cores),
             last.above,
@@ -191,30 +201,18 @@ class _Proof:
         ends = np.linspace(0.0, self.period, _PIECES + 1)
         Z = Interval(*(np.repeat(v[None], _PIECES, 0) for v in (box.lo, box.hi)))
         s = Interval(*(np.array(v) for v in zip(*pairwise(ends), strict=True)))
-        own = self._computed(loop, box)
+        own, limits = self._computed(loop, box), self.design.natural.loop.plant.u_limits
         computed = replace(own, earlier=earlier)
         for share in _CORE_RATES:
             rate = share * fast
-            above = self._above(loop, Z, s, rate, computed, shape)
-            if above is not None:
-                core = _Core(box, half, shape[1], rate, above, own.earlier)
-                return core if core.holds(above) and above < self.region.height else None
+            falls = loop.over(Z, s, rate, computed)
+            if not (falls.proved & within(falls.inputs, limits)).all():
+                continue
+            above = self._highest(loop, falls, rate, shape[0], shape[2]) * (1 + _ABOVE)
+            least = float(falls.least.max())
+            core = _Core(box, half, shape[1], rate, least, above, own.earlier)
+            return core if core.holds(above) and above < self.region.height else None
         return None
-
-    def _above(
-        self,
-        loop: Disturbed,
-        Z: Interval,
-        s: Interval,
-        rate: float,
-        computed: Computed,
-        shape: tuple[float, float, float],
-    ) -> float | None:
-        """w_∞ − V(z̄); None: W is not proved to fall, or u to be within its limits."""
-        falls, limits = loop.over(Z, s, rate, computed), self.design.natural.loop.plant.u_limits
-        if not (falls.proved & within(falls.inputs, limits)).all():
-            return None
-        return self._highest(loop, falls, rate, shape[0], shape[2]) * (1 + _ABOVE)
 
     def _highest(
         self, loop: Disturbed, falls: Falls, rate: float, near: float, high: float
@@ -323,10 +321,6 @@ class _Proof:
     def _bottom(self) -> float:
         z_bar = self.design.natural.z_bar[None]
         return float(self._potential.jet(Interval(z_bar, z_bar)).value.hi[0])
-
-
-#: The width of all periods beside that of states in sizes of ∇²V(z̄)^(−1/2).
-_WEIGHT = 1.0
 
 
 def _sides(box: Interval) -> tuple[Side, ...]:
