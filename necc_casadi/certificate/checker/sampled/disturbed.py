@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import cached_property
+from functools import cached_property, reduce
 from itertools import pairwise
 
 import numpy as np
 from flint import arb, arb_mat
 
-from necc_casadi.certificate.checker.arithmetic.balls import Box
+from necc_casadi.certificate.checker.arithmetic.balls import Box, by_bisection
 from necc_casadi.certificate.checker.arithmetic.definite import middle_of, positive
 from necc_casadi.certificate.checker.evidence import Checked, Evidence, Obligation
 from necc_casadi.certificate.checker.sampled.disturbance import Computed, DisturbedStep, Falls
@@ -28,6 +28,8 @@ __all__ = ["check_disturbed"]
 _SLACK = 1e-9
 #: How often a box of the certificate may be halved again; pieces of the periods near z̄.
 _AGAIN, _PIECES = 16, 8
+#: How often the core of `sampled` may be halved.
+_DEEP = 12
 #: Pieces of the box of the region on which errors of the law are bounded.
 _PARTS = 729
 
@@ -206,8 +208,19 @@ class _Disturbed:
         return self._computed(self.region.box, _PARTS)
 
     def _is_steep(self) -> bool:
-        """|C∇V| is larger than the slope that is claimed, outside of the first core."""
+        """|C∇V| is larger than the slope that is claimed, outside of the first core.
+
+        In the core of `sampled` it is, where C∇²VCᵀ ⪰ μI with |C∇V| ≥ μ|C⁻ᵀ(z − z̄)|.
+        """
         first = self.found.cores[0].box
+        sides = zip(first, self.z_bar, self.columns, strict=True)
+        half = reduce(
+            arb.min,
+            (((arb(hi) - arb(b)).min(arb(a) - arb(lo))) / c for (lo, hi), (a, b), c in sides),
+        )
+        mu = (arb(self.found.slope) / half).upper() if bool(half > 0) else arb(1)
+        if self._is_steeper(float(mu) * (1 + _SLACK)):
+            first = self.region.core
 
         def settled(box: Box, W: arb, slope: list[arb]) -> bool:
             core = zip(first, box, strict=True)
@@ -219,6 +232,15 @@ class _Disturbed:
             return bool(length > arb(self.found.slope) ** 2)
 
         return self.exact.nowhere(self.region.box, settled, HALVINGS)
+
+    def _is_steeper(self, mu: float) -> bool:
+        """Whether C∇²VCᵀ ⪰ μI on the core of `sampled`."""
+        C = self.step.frame
+        return by_bisection(
+            self.region.core,
+            lambda box: positive(C * self.energy.hessian(box) * C.transpose(), mu),
+            _DEEP,
+        )
 
     def _proved(self, cell: Box, node: int, left: int) -> bool:
         box = cell[:-1]

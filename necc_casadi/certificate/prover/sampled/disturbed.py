@@ -14,6 +14,8 @@ from necc_casadi.certificate.claims.disturbed import Core, Disturbances, Disturb
 from necc_casadi.certificate.claims.regions import Side, numbers, rows
 from necc_casadi.certificate.claims.sampled import SampledRegion
 from necc_casadi.certificate.claims.statements import NotDisturbed
+from necc_casadi.certificate.prover.arithmetic.boxes import subdivide
+from necc_casadi.certificate.prover.arithmetic.definite import positive_definite
 from necc_casadi.certificate.prover.arithmetic.intervals import Interval, matmul, point
 from necc_casadi.certificate.prover.arithmetic.potential import Potential
 from necc_casadi.certificate.prover.arithmetic.tables import TabledPotential
@@ -40,14 +42,17 @@ _BOXES = 20_000
 #: Halves of cores, in units in which ∇²V(z̄) = I and as shares of the one of `sampled`; how close to
 #: the least radius that of the last one is; the share of the height that is worth having.
 _CORES, _CLOSE, _LEAST = 2.0 ** -np.arange(1, 17.0), 1.05, 0.1
+#: A slope outside of the first core, as a share of the half of it, and as a multiple of what states
+#: of the region need; pieces of a side of the core of `sampled` on which ∇²V is bounded.
+_STEEP, _ROOM, _CUTS = 0.5, 2.0, 3
 #: Pieces of the periods in the core.
 _PIECES = 8
 #: Pieces of the box of the region on which errors of the law are bounded.
 _PARTS = 729
 #: What is given away for other arithmetic: of heights, of w_∞ and of radii.
 _EASED, _ABOVE, _RADIUS = 1e-6, 0.02, 0.01
-#: α, as multiples of the largest ∇²V(z̄).
-_ALPHAS = 2.0 ** np.arange(-3, 9)
+#: α, as multiples of the largest ∇²V(z̄), and at which of the states it is chosen.
+_ALPHAS, _EVERY = 2.0 ** np.arange(-2, 9), 4
 
 
 def prove_disturbed(
@@ -108,21 +113,26 @@ class _Proof:
         cores = self._cores(loop)
         if not cores:
             return "near the minimum the disturbances are as large as what they are to leave"
-        for share in _RATES:
-            rate = share * float(self._fastest(loop).min())
-            if rate > 0 and (made := self._cover(loop, cores, rate)) is not None:
-                return made
+        fast = float(self._fastest(loop).min())
+        for share in _RATES if fast > 0 else ():
+            for slope in self._slopes(loop, cores[0], share * fast):
+                made = self._cover(loop, cores, share * fast, slope)
+                if made is not None:
+                    return made
         return "no region is proved from which solutions come near the minimum"
 
-    def _cover(self, loop: Disturbed, cores: list[_Core], rate: float) -> DisturbedRegion | None:
+    def _cover(
+        self, loop: Disturbed, cores: list[_Core], rate: float, slope: float
+    ) -> DisturbedRegion | None:
         region, design, first, last = self.region, self.design, cores[0], cores[-1]
         box, computed = self._box, self._everywhere(loop)
         limits = design.natural.loop.plant.u_limits
         wide = replace(loop, step=replace(loop.step, potential=TabledPotential(design.natural)))
-        slope = float(np.sqrt(first.least * first.half / 2))  # between what there is and is needed
+        convex = self._is_steeper(slope / first.half)
+        around = Interval(*np.array(region.core).T) if convex else first.box
 
         def steep(Z: Interval, _: Interval) -> Truth:
-            inner = ((first.box.lo <= Z.lo) & (Z.hi <= first.box.hi)).all(-1)
+            inner = ((around.lo <= Z.lo) & (Z.hi <= around.hi)).all(-1)
             g = matmul(point(loop.frame[None]), wide.step.potential.jet(Z).grad[..., None])[..., 0]
             return np.asarray(inner | (_length(g) > slope * (1 + _EASED)), dtype=bool)
 
@@ -136,8 +146,7 @@ class _Proof:
         if not top > least:
             return None
         root = Interval(np.append(box.lo, 0.0), np.append(box.hi, self.period))
-        guide = Guide(design.natural, loop.Q)
-        points = guide.inside(region.height, _POINTS)
+        guide, points = Guide(design.natural, loop.Q), self._points(loop)
         weights = rates_of_change(wide.step, guide, points, self.period)
         got = cover(wide.step, loop.Q, root, top, weights, _BOXES, least, proof)
         if not got.level > least:
@@ -163,6 +172,26 @@ class _Proof:
             last.above,
             numbers(radius),
         )
+
+    def _slopes(self, loop: Disturbed, first: _Core, rate: float) -> list[float]:
+        """Slopes to try, from what is needed at states of the region to what there is."""
+        points, T = self._points(loop), self.period
+        at, s = Interval(points, points), np.full(len(points), T)
+        needed = loop.over(at, Interval(s, s), rate, self._everywhere(loop)).least
+        widest = _STEEP * first.half
+        close = max(_ROOM * float(np.nanmax(needed)), float(np.sqrt(first.least * widest)))
+        return sorted({min(close, widest), widest})
+
+    def _points(self, loop: Disturbed) -> Vector:
+        return Guide(self.design.natural, loop.Q).inside(self.region.height, _POINTS)
+
+    def _is_steeper(self, mu: float) -> bool:
+        """Whether C∇²VCᵀ ⪰ μI on the core of `sampled`, so that |C∇V| ≥ μ|C⁻ᵀ(z − z̄)| in it."""
+        back = np.linalg.inv(self._frame)
+        least = mu * (1 + 1e3 * _EASED) * back @ back.T
+        pieces = subdivide(Interval(*np.array(self.region.core).T), _CUTS)
+        bent = self._potential.lower_hessian(pieces) - (least + least.T) / 2
+        return bool(positive_definite(bent).all())
 
     # --- near z̄ -----------------------------------------------------------------------------------
 
@@ -280,7 +309,8 @@ class _Proof:
             return plain
         scale = float(np.linalg.eigvalsh(self._stiffness)[-1])
         alphas = [float(scale * a) for a in _ALPHAS]
-        rates = [float(self._fastest(replace(plain, delay=alpha)).min()) for alpha in alphas]
+        some = self._points(plain)[::_EVERY]
+        rates = [float(self._rates(replace(plain, delay=a), some).min()) for a in alphas]
         best = int(np.argmax(rates))
         if not rates[best] > 0:
             return None
@@ -296,9 +326,9 @@ class _Proof:
 
     def _fastest(self, loop: Disturbed, near: bool = False) -> Vector:
         """Rates at states of the region, or at z̄."""
-        guide = Guide(self.design.natural, loop.Q)
-        points = guide.inside(self.region.height, _POINTS)
-        points = self.design.natural.z_bar[None] if near else points
+        return self._rates(loop, self.design.natural.z_bar[None] if near else self._points(loop))
+
+    def _rates(self, loop: Disturbed, points: Vector) -> Vector:
         Z = np.repeat(points, len(_SHARES), 0)
         return loop.largest_rate(Z, np.tile(np.array(_SHARES) * self.period, len(points)))
 
