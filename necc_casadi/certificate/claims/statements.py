@@ -464,14 +464,15 @@ def disturbed(
     measured = (
         f"measured {noise}, then rounded" if noise else "x measured without error but rounded"
     )
-    applied = _within(inputs, found.input_error, input_units) or "u applied as it is computed"
+    applied = _within(inputs, found.input_error, input_units)
+    applied = f"{applied} as it is applied" if applied else "u applied as it is computed"
     start = f"{{W − V(z̄) < {_down(found.height * units.energy, 6)}}}"
     limit = _up(found.above * units.energy, 3)
     late = ""
     if found.delay is not None:
         start = start.replace("W", "S", 1)
         late = (
-            ", and one sample after it was computed, where S = W + "
+            ", one sample after it was computed, where S = W + "
             f"{_up(found.delay * found.period, 3)}|e|² in natural units, e what is applied over "
             "the first sample less the u of the law"
         )

@@ -64,6 +64,7 @@ def test_a_little_more_than_is_proved_is_refused(sampled_folder, found, entry):
     assert not forged(sampled_folder, **{entry: changed}).holds
 
 
+@pytest.mark.slow
 def test_a_faster_fall_is_refused(sampled_folder, found):
     assert not forged(sampled_folder, rate=10 * found.rate).holds
     assert not forged(sampled_folder, slope=100 * found.slope).holds
