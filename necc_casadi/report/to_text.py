@@ -468,7 +468,7 @@ def _sampled(sampling: SampledLoop, certificate: Certificate | None) -> str:
     units = certificate.units
     return (
         f"proved to converge from a region for all periods up to {region.period * units.time:.4g} "
-        f"s; {local}"
+        f"s{', with u clipped to its limits' if region.clipped else ''}; {local}"
     )
 
 

@@ -1,8 +1,8 @@
 """Boxes of states and periods on which a step of the sampled loop is proved, by halving.
 
-On each box that meets {W ≤ w₀} is Π ≺ 0 and u within its limits. By states alone: W > w₀ on the
-sides of the whole, and where W ≤ w₀ either ∇V ≠ 0 or ∇²V ≻ 0, in a core. What is not proved lowers
-w₀.
+On each box that meets {W ≤ w₀} is Π ≺ 0, for what limits leave of u too. By states alone: W > w₀ on
+the sides of the whole, where W ≤ w₀ either ∇V ≠ 0 or ∇²V ≻ 0, in a core, and whether u is within
+its limits. What is not proved lowers w₀.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from necc_casadi.certificate.prover.arithmetic.intervals import Interval, matmul
 from necc_casadi.certificate.prover.arithmetic.potential import Potential
 from necc_casadi.certificate.prover.sampled.step import Step
 
-__all__ = ["Cover", "cover", "level_by_states"]
+__all__ = ["Cover", "cover", "is_never_clipped", "level_by_states"]
 
 
 #: Boxes at once, and how often one is halved at most.
@@ -96,6 +96,7 @@ def cover(
     weights: Vector,
     most: int,
     least: float,
+    clipping: Vector | None = None,
 ) -> Cover:
     """Boxes that prove {W < w₀} for the largest w₀ ≤ `level` that was found, −∞ where none was.
 
@@ -109,10 +110,12 @@ def cover(
         Boxes that may be looked at.
     least
         Levels below this one are of no use.
+    clipping
+        How fast Π changes with them where u is clipped, besides, (m, N + 1).
     """
+    clipping = np.zeros((0, len(weights))) if clipping is None else clipping
     tree, done, kept = _Tree(root), 0, False
     heap: list[tuple[float, int]] = [(-np.inf, 0)]
-    limits = step.potential.design.loop.plant.u_limits
     while heap and heap[0][0] <= level and level > least:
         taken: list[int] = []
         bounds: list[float] = []
@@ -131,23 +134,36 @@ def cover(
         lowest, _ = lower_bounds(step.potential, Q, Z)
         lowest = np.maximum(lowest, bounds)
         proved = np.zeros(len(taken), dtype=bool)
+        rates = np.tile(weights, (len(taken), 1))
         reached = np.flatnonzero(lowest <= level)
         if len(reached):
             sample = step.over(Z[reached], s[reached])
-            falls = negative_definite(sample.form(Q), _EASED)
-            proved[reached] = falls & _within(sample.inputs, limits)
+            proved[reached] = negative_definite(sample.form(Q), _EASED)
+            open_ = ~(sample.shares.lo == 1)
+            rates[reached] += open_[:, : len(clipping)] @ clipping
+            lost = reached[np.isnan(sample.shares.lo).any(-1)]
+            level = min(level, _beyond_limits(step, Q, Z[lost])) if len(lost) else level
         for k, i in enumerate(taken):
             if lowest[k] > level or proved[k]:
                 tree.node[i] = BEYOND if lowest[k] > level else KEPT
                 kept = kept or bool(proved[k])
                 continue
-            side = int(np.argmax((tree.hi[i] - tree.lo[i]) * weights))
+            side = int(np.argmax((tree.hi[i] - tree.lo[i]) * rates[k]))
             if tree.depth[i] >= _DEEPEST:
                 level = min(level, float(lowest[k]))
                 continue
             for j in tree.split(i, side):
                 heapq.heappush(heap, (float(lowest[k]), j))
     return Cover(level, tree.packed())
+
+
+def _beyond_limits(step: Step, Q: Vector, Z: Interval) -> float:
+    """An upper bound of the least W in the middle of boxes (B, N) where −y_c is beyond limits."""
+    middle = point(Z.mid)
+    jet = step.potential.jet(middle)
+    W = jet.value + _square(point(Q[None]), jet.grad) * 0.5
+    lost = ~step.is_covered(middle, jet.grad)
+    return float(W.hi[lost].min(initial=np.inf))
 
 
 def level_by_states(
@@ -171,6 +187,18 @@ def level_by_states(
         return _inside(Z, core) | _apart(potential.jet(Z).grad)
 
     return _where_above(potential, Q, box, level, most, least, settled)
+
+
+def is_never_clipped(step: Step, Q: Vector, box: Interval, level: float, most: int) -> bool:
+    """Whether u is found to be within its limits, or has none, where W ≤ w₀ in a box (N,)."""
+    limits = step.potential.design.loop.plant.u_limits
+
+    def settled(Z: Interval, slope: Interval) -> Truth:
+        return _within(step.inputs(Z, step.potential.jet(Z).grad), limits)
+
+    if limits is None:
+        return True
+    return _where_above(step.potential, Q, box, level, most, -np.inf, settled) >= level
 
 
 def _steep_within(side: Interval) -> Settled:
