@@ -24,7 +24,7 @@ _PERIODS = (0.02, 0.5, 1.0)
 #: where its margin is less than this share of what the program says.
 _FIRST, _TIMES, _NEAR = 60, 4, 0.98
 #: Rays on which a level is sought, and where on each, in units in which ∇²V(z̄) = I.
-_RAYS, _PLACES = 1000, 2.0 ** np.arange(-4, 6, 1 / 16)
+_RAYS, _PLACES = 400, 2.0 ** np.arange(-4, 6, 1 / 16)
 #: Halvings between two places; steps of a local search, and how much wider than by rays, as a
 #: share, it may find a region: beyond that it went over a pass.
 _HALVINGS, _STEPS, _WIDER = 12, 40, 0.1

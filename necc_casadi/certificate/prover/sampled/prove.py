@@ -142,8 +142,8 @@ def _region(
     found = cover(step, Q, root, level, weights, most, least, clipping)
     if not found.level > least:
         return None
-    seen = _seen_to_clip(step, guide.inside(found.level - bottom, _POINTS))
-    never = not seen and is_never_clipped(step, Q, box, found.level, _CELLS)
+    clipped = _seen_to_clip(step, guide, found.level - bottom)
+    clipped = clipped or not is_never_clipped(step, Q, box, found.level, _CELLS)
     return SampledRegion(
         period,
         "euler" if step.integrator == "euler" else "heun",
@@ -152,7 +152,7 @@ def _region(
         (1 - _EASED) * (found.level - bottom),
         tuple(zip(numbers(box.lo), numbers(box.hi), strict=True)),
         tuple(zip(numbers(core.lo), numbers(core.hi), strict=True)),
-        not never,
+        clipped,
         found.tree,
     )
 
@@ -182,8 +182,11 @@ def _clipping(step: Step, guide: Guide, points: Vector) -> Vector:
     return rates
 
 
-def _seen_to_clip(step: Step, points: Vector) -> bool:
-    """Whether u is clipped at one of some states (B, N)."""
+def _seen_to_clip(step: Step, guide: Guide, height: float) -> bool:
+    """Whether u is clipped at one of some states of {W − V(z̄) ≤ height}."""
+    if guide.design.loop.plant.u_limits is None:
+        return False
+    points = guide.inside(height, _POINTS)
     shares = step.over(point(points), point(np.zeros(len(points)))).shares
     return bool((shares.hi < 1).any())
 
