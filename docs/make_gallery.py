@@ -31,7 +31,7 @@ from necc_casadi.report.gallery import from_the_boundary
 from necc_casadi.report.landscape_figure import landscape_figure
 from necc_casadi.report.methods import method_rows
 from necc_casadi.report.style import write_figure
-from necc_casadi.report.to_text import percent
+from necc_casadi.report.values import percent
 from necc_casadi.synthesis.options import Options
 from necc_casadi.verdict.verdict import Verdict
 
