@@ -52,6 +52,7 @@ def readme(source: Source, *, measured: bool = True) -> str:
         float_note=float_note,
         order="; ".join(f"`{array}` = ({', '.join(of)})" for array, of in _order(source).items()),
         counted=counted(source),
+        calls=_calls(source),
         cross=cross_compiled(source) if measured else "",
         measured=_table(rows, compiler) if rows else "Not measured: no C compiler was at hand.",
     )
@@ -66,6 +67,17 @@ def _order(source: Source) -> dict[str, list[str]]:
         array: [escaped(f"{name} [{units[name]}]" if name in units else name) for name in names]
         for array, names in {"x": measured.names, "u": plant.input_names}.items()
     }
+
+
+def _calls(source: Source) -> str:
+    """How many evaluations of the law a sample takes."""
+    if source.kept is not None:
+        return (
+            f"`necc_step` takes {source.substeps + 1} of these, all of them in `necc_output`: xi "
+            f"goes {source.substeps} step(s) down V before u is computed."
+        )
+    many = {"euler": "one", "heun": "two", "rk4": "four"}[source.integrator]
+    return f"`necc_step` takes {many} of these, `necc_output` one of them."
 
 
 #: Plant terms that ``necc_control`` calls once.
