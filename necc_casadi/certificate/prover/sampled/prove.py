@@ -93,7 +93,7 @@ def _missing(design: Design, certificate: Certificate, integrator: Integrator) -
     other = isinstance(design.loop, ShapedLoop) or design.loop.plant.preliminary is not None
     if other or design.integral is not None:
         return "only the published loop is covered"
-    if integrator == "rk4":
+    if integrator not in ("euler", "heun"):
         return "only Euler's and Heun's methods are covered"
     controller = design.loop.controller
     if any(A.has(*controller.xi) for A in (controller.Jc, controller.Rc, controller.Gc)):
