@@ -28,6 +28,14 @@ class Disturbances:
 
 
 @dataclass(frozen=True)
+class Core:
+    """A box around z̄ outside of which W falls, once solutions are near enough; natural units."""
+
+    box: tuple[Side, ...]
+    rate: float  # Π ⪯ −rate CᵀC on it
+
+
+@dataclass(frozen=True)
 class DisturbedRegion:
     """What is proved of {W < w₁}, a part of Ω_T of the claim `sampled`; natural units.
 
@@ -47,8 +55,7 @@ class DisturbedRegion:
     height: float  # w₁ − V(z̄) is at least this
     rate: float  # Π ⪯ −rate CᵀC on every box
     tree: str
-    core: tuple[Side, ...]  # around z̄
-    core_rate: float  # Π ⪯ −rate CᵀC on the core
+    cores: tuple[Core, ...]  # solutions come into one after the other
     above: float  # w_∞ − V(z̄)
     radius: tuple[float, ...]  # (N,)
 

@@ -8,7 +8,7 @@ from necc_casadi.certificate.checker.check import check
 from necc_casadi.certificate.claims import statements
 from necc_casadi.certificate.claims.certificate import Certificate
 from necc_casadi.certificate.claims.disturbed import DisturbedRegion
-from necc_casadi.certificate.claims.sampled import KEPT, packed_tree
+from necc_casadi.certificate.claims.sampled import BEYOND, packed_tree
 from necc_casadi.errors import OutputError
 
 NAMES = (("q", "p", "xi1"), ("u",))
@@ -54,9 +54,11 @@ def test_a_little_more_than_is_proved_is_refused(sampled_folder, tmp_path, found
     assert not forged(sampled_folder, tmp_path, **{entry: changed}).holds
 
 
-@pytest.mark.parametrize("entry", ["rate", "core_rate"])
-def test_a_faster_fall_is_refused(sampled_folder, tmp_path, found, entry):
-    assert not forged(sampled_folder, tmp_path, **{entry: 4 * getattr(found, entry)}).holds
+def test_a_faster_fall_is_refused(sampled_folder, tmp_path, found):
+    assert not forged(sampled_folder, tmp_path, rate=10 * found.rate).holds
+    cores = json.loads(json.dumps(found.data["cores"]))
+    cores[-1]["rate"] *= 1.2
+    assert not forged(sampled_folder, tmp_path, cores=cores).holds
 
 
 def test_the_radius_of_double_is_not_that_of_float(sampled_folder, tmp_path, found):
@@ -82,18 +84,20 @@ def test_an_operation_that_takes_what_comes_later_is_refused(sampled_folder, tmp
 
 
 def test_a_core_in_which_more_is_left_is_refused(sampled_folder, tmp_path, found):
-    """A core smaller than where W may rise."""
-    middle = [(lo + hi) / 2 for lo, hi in found.core]
-    sides = zip(found.core, middle, strict=True)
-    core = [[m + (lo - m) * 1e-4, m + (hi - m) * 1e-4] for (lo, hi), m in sides]
-    assert not forged(sampled_folder, tmp_path, core=core).holds
+    """A core smaller than where W may rise, and one that what comes from before does not fit in."""
+    cores = found.data["cores"]
+    box = cores[-1]["box"]
+    small = [[m + (side - m) * 1e-5 for side in sides] for sides in box for m in [sum(sides) / 2]]
+    last = {"box": small, "rate": cores[-1]["rate"]}
+    assert not forged(sampled_folder, tmp_path, cores=[last]).holds
+    assert not forged(sampled_folder, tmp_path, cores=[*cores, last]).holds
 
 
 def test_boxes_that_are_no_tree_are_refused(sampled_folder, tmp_path, found):
     with pytest.raises(OutputError):
         forged(sampled_folder, tmp_path, tree=packed_tree(found.nodes[:-1]))
-    one = packed_tree(bytes([KEPT]))  # all in one box: the checker halves it itself, too rarely
-    assert not forged(sampled_folder, tmp_path, tree=one, rate=100.0).holds
+    one = packed_tree(bytes([BEYOND]))  # all of it, and z̄ with it
+    assert not forged(sampled_folder, tmp_path, tree=one).holds
 
 
 def test_it_does_not_hold_without_the_claim_that_it_rests_on(sampled_folder, tmp_path):

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
-from functools import cached_property, reduce
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -17,7 +18,7 @@ from necc_casadi.certificate.checker.sampled.rounding import RoundingProof
 from necc_casadi.certificate.checker.sampled.sampled import SampledProof
 from necc_casadi.certificate.checker.sampled.step import StepProof
 from necc_casadi.certificate.claims import statements
-from necc_casadi.certificate.claims.disturbed import DisturbedRegion
+from necc_casadi.certificate.claims.disturbed import Core, DisturbedRegion
 from necc_casadi.certificate.claims.sampled import BEYOND, SampledRegion
 
 __all__ = ["check_disturbed"]
@@ -41,7 +42,7 @@ def check_disturbed(evidence: Evidence, sampled: bool) -> Checked:
     size, m = len(model.z), model.m
     square = len(found.frame) == size and all(len(row) == size for row in found.frame)
     fits = (len(found.noise), len(found.input_error)) == (model.n, m)
-    if not (square and fits and len(found.core) == len(found.radius) == size):
+    if not (square and fits and len(found.radius) == size and _fit(found.cores, size)):
         raise ValueError("what is claimed of disturbances does not fit the states")
     if not found.leaves(region):
         raise ValueError("the sampled region has no boxes")
@@ -88,13 +89,11 @@ class _Disturbed:
         return (
             0 < found.shortest <= found.period <= region.period
             and found.level <= region.level
-            and min(found.height, found.rate, found.core_rate, found.above, *found.radius) > 0
+            and min(found.height, found.rate, found.above, *found.radius) > 0
             and (found.delay is None or found.delay > 0)
             and all(v >= 0 for v in sizes)
             and lower
-            and all(
-                a < lo < hi < b for (a, b), (lo, hi) in zip(region.box, found.core, strict=True)
-            )
+            and all(core.rate > 0 and _inside(core.box, region.box) for core in found.cores)
         )
 
     def _is_covered(self) -> bool:
@@ -123,45 +122,50 @@ class _Disturbed:
     # --- near z̄ -----------------------------------------------------------------------------------
 
     def _comes_near(self) -> bool:
-        """W may rise in the core alone, up to w_∞, and {W ≤ w_∞} is inside of it."""
-        found = self.found
-        shape, computed = self._shape(), self._computed(found.core)
-        if shape is None:
-            return False
-        low, stages = shape[1], [computed]
-        if found.delay is not None:  # at first u may have been computed anywhere
-            stages.insert(0, replace(computed, earlier=self._everywhere.earlier))
-        heights = [self._highest(stage, shape) for stage in stages]
-        known = [height for height in heights if height is not None]
-        if len(known) < len(stages) or not bool(known[-1] <= found.above):
-            return False
-        worst = reduce(arb.max, known)
-        reach = (2 * arb(found.above) / low).sqrt()  # of |C⁻ᵀ(z − z̄)|
-        radii = zip(self.columns, found.radius, strict=True)
-        return (
-            bool(worst < found.height)
-            and found.above < found.height
-            and self._is_within_core((2 * worst / low).sqrt().max(reach))
-            and all(bool(reach * c <= r) for c, r in radii)
-        )
+        """W may rise in a core alone, up to some height, below which all is inside of the next."""
+        found, above, late = self.found, arb(0), self._everywhere.earlier
+        for core in found.cores:
+            shape, computed = self._shape(core), self._computed(core.box)
+            if shape is None or not self._holds(core, above, shape):
+                return False
+            highest = self._highest(core, replace(computed, earlier=late), shape)
+            if highest is None or not self._holds(core, highest, shape):
+                return False
+            above, late = highest, computed.earlier
+        return bool(above <= found.above) and self._is_near(found.cores[-1])
 
-    def _is_within_core(self, reach: arb) -> bool:
-        """Whether every z with |C⁻ᵀ(z − z̄)| ≤ reach is."""
-        sides = zip(self.found.core, self.z_bar, self.columns, strict=True)
-        return all(
+    def _is_near(self, last: Core) -> bool:
+        """Whether the radii follow from w_∞."""
+        limit, shape = arb(self.found.above), self._shape(last)
+        if shape is None or not self._holds(last, limit, shape):
+            return False
+        reach = self._reach(limit, shape)
+        radii = zip(self.columns, self.found.radius, strict=True)
+        return all(bool(reach * c <= r) for c, r in radii)
+
+    @staticmethod
+    def _reach(above: arb, shape: tuple[arb, arb, arb]) -> arb:
+        """|C⁻ᵀ(z − z̄)| at most where W − V(z̄) ≤ above."""
+        return (2 * above / shape[1]).sqrt()
+
+    def _holds(self, core: Core, above: arb, shape: tuple[arb, arb, arb]) -> bool:
+        """Whether {W − V(z̄) ≤ above} is inside of a core, and below w₁."""
+        reach = self._reach(above, shape)
+        sides = zip(core.box, self.z_bar, self.columns, strict=True)
+        return bool(above < self.found.height) and all(
             bool(arb(lo) < arb(a) - reach * c) and bool(arb(b) + reach * c < arb(hi))
             for (lo, hi), (a, b), c in sides
         )
 
-    def _highest(self, computed: Computed, shape: tuple[arb, arb, arb]) -> arb | None:
+    def _highest(self, core: Core, computed: Computed, shape: tuple[arb, arb, arb]) -> arb | None:
         """W, or S, above V(z̄) at most where it may not fall, and after a sample; None: unknown."""
         found, (near, _, high) = self.found, shape
-        rate = arb(found.core_rate)
-        gradient, _ = self.exact.gradient_and_hessian(found.core)
+        rate = arb(core.rate)
+        gradient, _ = self.exact.gradient_and_hessian(core.box)
         ends = [found.period * k / _PIECES for k in range(_PIECES)] + [found.period]
         least = rise = arb(0)
         for period in pairwise(ends):
-            falls = self.step.over(found.core, period, gradient, rate, computed)
+            falls = self.step.over(core.box, period, gradient, rate, computed)
             if falls is None or not self._kept(falls):
                 return None
             least, rise = least.max(falls.least), rise.max(falls.rise)
@@ -170,12 +174,12 @@ class _Disturbed:
             top = top.max(arb(found.delay) * arb(found.period) / self.step.weight(rate))
         return (top * least**2 + rise).upper()
 
-    def _shape(self) -> tuple[arb, arb, arb] | None:
-        """‖C∇²VCᵀ − I‖ at most, and bounds of 2(W − V(z̄))/|C⁻ᵀ(z − z̄)|² in the core."""
+    def _shape(self, core: Core) -> tuple[arb, arb, arb] | None:
+        """‖C∇²VCᵀ − I‖ at most, and bounds of 2(W − V(z̄))/|C⁻ᵀ(z − z̄)|² in a core."""
         C, back = self.step.frame, self.step.back
         size = len(self.model.z)
         identity = arb_mat([[int(i == j) for j in range(size)] for i in range(size)])
-        near = _frobenius(C * arb_mat(self.energy.hull(self.found.core)) * C.transpose() - identity)
+        near = _frobenius(C * arb_mat(self.energy.hull(core.box)) * C.transpose() - identity)
         metric = back.transpose() * self.step.Q * back
         return self._bounds(near, metric)
 
@@ -201,8 +205,9 @@ class _Disturbed:
         return self._computed(self.region.box, _PARTS)
 
     def _proved(self, cell: Box, node: int, left: int) -> bool:
-        box, core = cell[:-1], self.found.core
-        if all(a <= lo and hi <= b for (a, b), (lo, hi) in zip(core, box, strict=True)):
+        box = cell[:-1]
+        sides = zip(self.found.cores[0].box, box, strict=True)
+        if all(a <= lo and hi <= b for (a, b), (lo, hi) in sides):
             return True
         if node == BEYOND and self._beyond(box):
             return True
@@ -231,6 +236,14 @@ class _Disturbed:
         turned = self.step.frame * arb_mat([[v] for v in gradient])
         length = sum((v.abs_lower() ** 2 for (v,) in turned.tolist()), arb(0)).lower()
         return bool(length > falls.least**2)
+
+
+def _fit(cores: Sequence[Core], size: int) -> bool:
+    return bool(cores) and all(len(core.box) == size for core in cores)
+
+
+def _inside(box: Box, whole: Box) -> bool:
+    return all(a < lo < hi < b for (a, b), (lo, hi) in zip(whole, box, strict=True))
 
 
 def _column(A: arb_mat, i: int) -> list[list[arb]]:

@@ -10,8 +10,8 @@ from itertools import pairwise
 import numpy as np
 
 from necc_casadi.arrays import Truth, Vector
-from necc_casadi.certificate.claims.disturbed import Disturbances, DisturbedRegion
-from necc_casadi.certificate.claims.regions import numbers, rows
+from necc_casadi.certificate.claims.disturbed import Core, Disturbances, DisturbedRegion
+from necc_casadi.certificate.claims.regions import Side, numbers, rows
 from necc_casadi.certificate.claims.sampled import SampledRegion
 from necc_casadi.certificate.claims.statements import NotDisturbed
 from necc_casadi.certificate.prover.arithmetic.intervals import Interval, matmul, point
@@ -36,9 +36,9 @@ _RATES, _CORE_RATES = (0.4, 0.15), (0.95, 0.85, 0.6, 0.3)
 _POINTS, _SHARES = 60, (0.02, 0.5, 1.0)
 #: Boxes that may be looked at, and how often one is halved.
 _BOXES, _DEEPEST = 20_000, 120
-#: Halves of the core, in units in which ∇²V(z̄) = I and as shares of the one of `sampled`: the first
-#: with a radius that is close to the least one.
-_CORES, _CLOSE = 2.0 ** -np.arange(1, 22, 2), 1.05
+#: Halves of cores, in units in which ∇²V(z̄) = I and as shares of the one of `sampled`; how close to
+#: the least radius that of the last one is; the share of the height that is worth having.
+_CORES, _CLOSE, _LEAST = 2.0 ** -np.arange(1, 17.0), 1.05, 0.1
 #: Pieces of the periods in the core.
 _PIECES = 8
 #: Pieces of the box of the region on which errors of the law are bounded.
@@ -68,9 +68,24 @@ class _Core:
     """A box around z̄ in which solutions come to rest, as far as they do."""
 
     box: Interval  # (N,)
+    half: float  # |C⁻ᵀ(z − z̄)| on its sides is at least this
+    low: float  # 2(W − V(z̄)) ≥ low |C⁻ᵀ(z − z̄)|² in it
     rate: float
     above: float  # w_∞ − V(z̄)
-    reach: float  # |C⁻ᵀ(z − z̄)| is at most this
+    earlier: Vector | None  # errors of a u that was computed in it, where u is late
+
+    @property
+    def reach(self) -> float:
+        """|C⁻ᵀ(z − z̄)| at most, in the end."""
+        return self.holding(self.above)
+
+    def holding(self, above: float) -> float:
+        """|C⁻ᵀ(z − z̄)| at most where W is below."""
+        return float(np.sqrt(2 * above / self.low)) * (1 + _EASED)
+
+    def holds(self, above: float) -> bool:
+        """Whether {W − V(z̄) ≤ above} is inside."""
+        return self.holding(above) < (1 - _EASED) * self.half
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,16 +103,16 @@ class _Proof:
         loop = self._loop
         if loop is None:
             return "with a delay of one sample no function is found that falls"
-        core = self._core(loop)
-        if core is None:
+        cores = self._cores(loop)
+        if not cores:
             return "near the minimum the disturbances are as large as what they are to leave"
         for share in _RATES:
             rate = share * float(self._fastest(loop).min())
-            if rate > 0 and (made := self._cover(loop, core, rate)) is not None:
+            if rate > 0 and (made := self._cover(loop, cores, rate)) is not None:
                 return made
         return "no region is proved from which solutions come near the minimum"
 
-    def _cover(self, loop: Disturbed, core: _Core, rate: float) -> DisturbedRegion | None:
+    def _cover(self, loop: Disturbed, cores: list[_Core], rate: float) -> DisturbedRegion | None:
         region, design, top = self.region, self.design, self.region.level
         box, computed = self._box, self._everywhere(loop)
         limits = design.natural.loop.plant.u_limits
@@ -105,20 +120,21 @@ class _Proof:
         wide = replace(loop, step=replace(loop.step, potential=TabledPotential(design.natural)))
 
         def proof(Z: Interval, s: Interval) -> tuple[Truth, Truth]:
-            inner = ((core.box.lo <= Z.lo) & (Z.hi <= core.box.hi)).all(-1)
+            inner = ((around.lo <= Z.lo) & (Z.hi <= around.hi)).all(-1)
             found = wide.over(Z, s, rate, computed)
             steep = _length(found.slopes) > found.least * (1 + _EASED)
             kept = found.proved & within(found.inputs, limits)
             return inner | (kept & steep), kept & ~steep
 
-        least = self._bottom + max(core.above, 0.1 * region.height)
+        around, last = cores[0].box, cores[-1]
+        least = self._bottom + max(cores[0].above, _LEAST * region.height)
         root = Interval(np.append(box.lo, 0.0), np.append(box.hi, self.period))
         weights = np.append(np.sqrt(np.diag(self._stiffness)), _WEIGHT / self.period)
         got = cover(wide.step, loop.Q, root, top, weights, _BOXES, least, proof, _DEEPEST)
         if not got.level > least:
             return None
         height = (1 - _EASED) * (got.level - self._bottom)
-        radius = core.reach * np.sqrt((self._frame**2).sum(0)) * (1 + _RADIUS)
+        radius = last.reach * np.sqrt((self._frame**2).sum(0)) * (1 + _RADIUS)
         return DisturbedRegion(
             loop.shortest,
             self.period,
@@ -133,28 +149,39 @@ class _Proof:
             height,
             rate,
             got.tree,
-            tuple(zip(numbers(core.box.lo), numbers(core.box.hi), strict=True)),
-            core.rate,
-            core.above,
+            tuple(Core(_sides(core.box), core.rate) for core in cores),
+            last.above,
             numbers(radius),
         )
 
     # --- near z̄ -----------------------------------------------------------------------------------
 
-    def _core(self, loop: Disturbed) -> _Core | None:
-        """The largest box whose radius is close to the least one that was found."""
+    def _cores(self, loop: Disturbed) -> list[_Core]:
+        """The largest box that solutions stay in, and the largest in it that is close to the best.
+
+        Where u is late, the first u in a box was computed before solutions were in it: the last box
+        counts once more with what is computed in it.
+        """
         inner = np.array(self.region.core)
         columns = np.sqrt((self._frame**2).sum(0))
         widest = float(((inner[:, 1] - inner[:, 0]) / 2 / columns).min())
         fast = float(self._fastest(loop, near=True).min())
-        found = [self._core_of(loop, share * widest, fast) for share in _CORES]
-        known = [core for core in found if core is not None]
-        if not known:
-            return None
-        least = min(core.reach for core in known)
-        return next(core for core in known if core.reach <= _CLOSE * least)
+        late = None if loop.delay is None else self._everywhere(loop).earlier
+        halves = [float(share * widest) for share in _CORES]
+        first = next((c for h in halves if (c := self._core_of(loop, h, fast, late))), None)
+        if first is None:
+            return []
+        inside = (self._core_of(loop, h, fast, first.earlier) for h in halves if h <= first.half)
+        known = [core for core in inside if core is not None and core.holds(first.above)]
+        least = min((core.reach for core in known), default=first.reach)
+        best = next((core for core in known if core.reach <= _CLOSE * least), first)
+        cores = [first] if best.half == first.half else [first, best]
+        again = None if late is None else self._core_of(loop, best.half, fast, best.earlier)
+        return cores if again is None else [*cores, again]
 
-    def _core_of(self, loop: Disturbed, half: float, fast: float) -> _Core | None:
+    def _core_of(
+        self, loop: Disturbed, half: float, fast: float, earlier: Vector | None
+    ) -> _Core | None:
         """What is proved in a box with |C⁻ᵀ(z − z̄)| ≥ half on its sides."""
         z_bar, columns = self.design.natural.z_bar, np.sqrt((self._frame**2).sum(0))
         box = Interval(z_bar - half * columns, z_bar + half * columns)
@@ -164,20 +191,14 @@ class _Proof:
         ends = np.linspace(0.0, self.period, _PIECES + 1)
         Z = Interval(*(np.repeat(v[None], _PIECES, 0) for v in (box.lo, box.hi)))
         s = Interval(*(np.array(v) for v in zip(*pairwise(ends), strict=True)))
-        computed, low = self._computed(loop, box), shape[1]
-        stages = [computed]
-        if loop.delay is not None:  # at first u may have been computed anywhere
-            stages.insert(0, replace(computed, earlier=self._everywhere(loop).earlier))
+        own = self._computed(loop, box)
+        computed = replace(own, earlier=earlier)
         for share in _CORE_RATES:
             rate = share * fast
-            heights = [self._above(loop, Z, s, rate, stage, shape) for stage in stages]
-            known = [height for height in heights if height is not None]
-            if len(known) < len(stages):
-                continue
-            reaches = [float(np.sqrt(2 * v / low)) * (1 + _EASED) for v in known]
-            if max(reaches) < (1 - _EASED) * half and max(known) < self.region.height:
-                return _Core(box, rate, known[-1], reaches[-1])
-            return None
+            above = self._above(loop, Z, s, rate, computed, shape)
+            if above is not None:
+                core = _Core(box, half, shape[1], rate, above, own.earlier)
+                return core if core.holds(above) and above < self.region.height else None
         return None
 
     def _above(
@@ -306,6 +327,10 @@ class _Proof:
 
 #: The width of all periods beside that of states in sizes of ∇²V(z̄)^(−1/2).
 _WEIGHT = 1.0
+
+
+def _sides(box: Interval) -> tuple[Side, ...]:
+    return tuple(zip(numbers(box.lo), numbers(box.hi), strict=True))
 
 
 def _length(v: Interval) -> Vector:
