@@ -4,10 +4,11 @@
 
 The plant comes from the model file alone, the controller is ``necc_step`` of the exported C code; u
 is held, and the plant is followed by a fixed-step Runge–Kutta method written here. Half
-of the starts are in the upper tenth of the level. Periods are of four kinds: the longest, uniform,
-mostly short, and short or long by chance. Counted are samples at which u is clipped, of those that
-are looked at, and at which W rises, starts that leave the box between two samples, and those that
-are not near z̄ in the end.
+of the starts are in the upper tenth of the level. Periods are of five kinds: the longest, uniform,
+mostly short, and short (1e-3 or 1e-9 of the longest) or long by chance. Counted are samples at
+which u is clipped, of those that are looked at, and at which W rises, starts that leave the region,
+at a sample or where it is seen at a random time between two (x there with ξ as far advanced: x is
+in the projection), or the box between two samples, and those that are not near z̄ in the end.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ import tempfile
 import time
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import sympy as sp
@@ -38,6 +40,8 @@ EXAMPLES = Path(__file__).parent.parent / "examples"
 TARGETS = {"pendulum": "pi/4"}
 #: Steps of the plant in one sample; samples at which W is looked at; of those that are followed.
 INNER, LOOKED, FOLLOWED = 16, 200, 200
+#: Kinds of periods.
+KINDS = 5
 LOOP = """
 #include <math.h>
 #include "necc.h"
@@ -78,15 +82,15 @@ long sample(int count, double *z, const double *periods, double *lo, double *hi)
 """
 
 
-def compiled(model: Model, made: Design, folder: Path, real: str) -> ctypes.CDLL:
-    """One sample of the loop as a shared library."""
+def compiled(model: Model, made: Design, folder: Path, real: str, **options: Any) -> ctypes.CDLL:
+    """One sample of the loop as a shared library; `options` of the export."""
     plant = model.system
     u = sp.symbols(f"u:{plant.m}", real=True)
     slope = plant.drift + plant.directions * sp.Matrix(u)
     names = {s: sp.Symbol(f"x[{i}]") for i, s in enumerate(plant.x)}
     names |= {v: sp.Symbol(f"u[{k}]") for k, v in enumerate(u)}
     lines = [f"    xdot[{i}] = {sp.ccode(e.xreplace(names))};" for i, e in enumerate(slope)]
-    export_c(made, folder, real=real, measured=False)
+    export_c(made, folder, real=real, measured=False, **options)
     text = LOOP.replace("@plant@", "\n".join(lines)).replace("@inner@", str(INNER))
     (folder / "loop.c").write_text(text, encoding="utf-8")
     command = ["gcc", "-O2", "-shared", "-fPIC", "-std=c99", "-o", "loop.so", "loop.c", "necc.c"]
@@ -128,6 +132,7 @@ def periods(longest: float, count: int, kind: int, rng: np.random.Generator) -> 
     """Periods of one sample."""
     x = rng.uniform(size=count)
     shares = (np.ones(count), 1 - x, (1 - x) ** 6, np.where(x < 0.5, 1e-3, 1.0))
+    shares += (np.where(x < 0.5, 1e-9, 1.0),)
     return longest * shares[kind]
 
 
@@ -184,28 +189,40 @@ def attack(
 ) -> tuple[int, int, int, int]:
     """Samples at which u is clipped and W rises, starts that leave the box and do not arrive."""
     pointer, n = ctypes.POINTER(ctypes.c_double), made.loop.plant.n
-    kind = np.arange(len(starts)) % 4
+    kind = np.arange(len(starts)) % KINDS
     z = np.ascontiguousarray(starts)
     lo, hi = (np.ascontiguousarray(z[:, :n].copy()) for _ in range(2))
 
-    def advance() -> int:
+    def drawn_periods() -> np.ndarray:
         s = np.empty(len(z))
-        for k in range(4):
+        for k in range(KINDS):
             s[kind == k] = periods(longest, int((kind == k).sum()), k, rng)
-        arrays = [np.ascontiguousarray(v) for v in (z, s, lo, hi)]
-        return int(library.sample(len(z), *[v.ctypes.data_as(pointer) for v in arrays]))
+        return s
+
+    def advance(z: np.ndarray, s: np.ndarray) -> int:
+        arrays = [np.ascontiguousarray(v) for v in (s, lo, hi)]
+        at = z.ctypes.data_as(pointer)
+        return int(library.sample(len(z), at, *[v.ctypes.data_as(pointer) for v in arrays]))
 
     before, rises, clipped = W(z), 0, 0
     slack = 1e-12 * max(1.0, float(np.abs(before).max()))
+    out = np.zeros(len(z), dtype=bool)
     for _ in range(LOOKED):
-        clipped += advance()
+        s = drawn_periods()
+        between = z.copy()
+        advance(between, s * rng.uniform(size=len(s)))
+        clipped += advance(z, s)
         after = W(z)
         rises += int((after > before + slack).sum())
+        for seen, value in ((between, W(between)), (z, after)):
+            out |= (value > np.minimum(before + slack, W.level)) | (
+                (seen < W.lo) | (seen > W.hi)
+            ).any(1)
         before = after
-    left = int(((lo < W.lo[:n]) | (hi > W.hi[:n])).any(1).sum())
+    left = int((out | ((lo < W.lo[:n]) | (hi > W.hi[:n])).any(1)).sum())
     slow = float(np.min(np.abs(made.spectrum.real)))
     for _ in range(int(min(FOLLOWED / slow / longest, 50_000))):
-        advance()
+        advance(z, drawn_periods())
     away = np.abs((z - made.z_bar) / made.sizes.state).max(1)
     return clipped, rises, left, int((away > 0.01).sum())
 

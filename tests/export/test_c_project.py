@@ -113,7 +113,7 @@ def test_integrators_of_the_controller_state(tmp_path, method):
     assert np.abs(rows - expected)[:, 1:].max() <= 1e-12
 
 
-@settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=12, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(designs(), st.integers(0, 2**16), st.sampled_from(["double", "float"]))
 def test_control_law_for_any_networks(d, seed, real):
     compiled = compile_controller(d, real=real, flags=[*STRICT, "-O1"])

@@ -20,7 +20,16 @@ from necc_casadi.certificate.prover.arithmetic.intervals import Interval, matmul
 from necc_casadi.certificate.prover.arithmetic.potential import Potential
 from necc_casadi.certificate.prover.sampled.step import Step
 
-__all__ = ["Cover", "cover", "is_never_clipped", "level_by_states"]
+__all__ = [
+    "Cover",
+    "Shown",
+    "cover",
+    "falls",
+    "is_never_clipped",
+    "level_by_states",
+    "lower_bounds",
+    "within",
+]
 
 
 #: Boxes at once, and how often one is halved at most.
@@ -33,6 +42,20 @@ _HOPELESS = 4000
 
 #: Whether what is to be shown of boxes (B, N), with ∇W on them, is, (B,).
 Settled = Callable[[Interval, Interval], Truth]
+
+
+@dataclass(frozen=True, eq=False)
+class Shown:
+    """What is shown of boxes, (B,) each."""
+
+    proved: Truth
+    of_states: Truth  # where it is not, the states alone are in the way
+    rates: Vector | float = 0.0  # what changes faster there with states and period, (B, N + 1)
+    ceiling: float = np.inf  # no level above it is ever proved
+
+
+#: What is to be shown of boxes (B, N) and periods (B,).
+Proof = Callable[[Interval, Interval], Shown]
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,7 +119,8 @@ def cover(
     weights: Vector,
     most: int,
     least: float,
-    clipping: Vector | None = None,
+    proof: Proof | None = None,
+    deepest: int = _DEEPEST,
 ) -> Cover:
     """Boxes that prove {W < w₀} for the largest w₀ ≤ `level` that was found, −∞ where none was.
 
@@ -110,12 +134,14 @@ def cover(
         Boxes that may be looked at.
     least
         Levels below this one are of no use.
-    clipping
-        How fast Π changes with them where u is clipped, besides, (m, N + 1).
+    proof
+        What is to be shown of boxes; by default that W falls.
+    deepest
+        How often a box is halved at most.
     """
-    clipping = np.zeros((0, len(weights))) if clipping is None else clipping
     tree, done, kept = _Tree(root), 0, False
     heap: list[tuple[float, int]] = [(-np.inf, 0)]
+    proof = proof or falls(step, Q)
     while heap and heap[0][0] <= level and level > least:
         taken: list[int] = []
         bounds: list[float] = []
@@ -133,28 +159,47 @@ def cover(
         Z, s = cells[:, :-1], cells[:, -1]
         lowest, _ = lower_bounds(step.potential, Q, Z)
         lowest = np.maximum(lowest, bounds)
-        proved = np.zeros(len(taken), dtype=bool)
         rates = np.tile(weights, (len(taken), 1))
+        proved, of_states = np.zeros((2, len(taken)), dtype=bool)
         reached = np.flatnonzero(lowest <= level)
         if len(reached):
-            sample = step.over(Z[reached], s[reached])
-            proved[reached] = negative_definite(sample.form(Q), _EASED)
-            open_ = ~(sample.shares.lo == 1)
-            rates[reached] += open_[:, : len(clipping)] @ clipping
-            lost = reached[np.isnan(sample.shares.lo).any(-1)]
-            level = min(level, _beyond_limits(step, Q, Z[lost])) if len(lost) else level
+            shown = proof(Z[reached], s[reached])
+            proved[reached], of_states[reached] = shown.proved, shown.of_states
+            rates[reached] += shown.rates
+            level = min(level, shown.ceiling)
         for k, i in enumerate(taken):
             if lowest[k] > level or proved[k]:
                 tree.node[i] = BEYOND if lowest[k] > level else KEPT
                 kept = kept or bool(proved[k])
                 continue
-            side = int(np.argmax((tree.hi[i] - tree.lo[i]) * rates[k]))
-            if tree.depth[i] >= _DEEPEST:
+            loose = (tree.hi[i] - tree.lo[i]) * rates[k]
+            side = int(np.argmax(loose[:-1] if of_states[k] else loose))
+            if tree.depth[i] >= deepest:
                 level = min(level, float(lowest[k]))
                 continue
             for j in tree.split(i, side):
                 heapq.heappush(heap, (float(lowest[k]), j))
     return Cover(level, tree.packed())
+
+
+def falls(step: Step, Q: Vector, clipping: Vector | None = None) -> Proof:
+    """Whether W falls.
+
+    `clipping` is how fast Π changes with states and period where u is clipped, (m, N + 1).
+    """
+
+    def proof(Z: Interval, s: Interval) -> Shown:
+        sample = step.over(Z, s)
+        open_ = ~(sample.shares.lo == 1)
+        lost = Z[np.isnan(sample.shares.lo).any(-1)]
+        return Shown(
+            negative_definite(sample.form(Q), _EASED),
+            np.zeros(len(open_), dtype=bool),
+            0.0 if clipping is None else open_[:, : len(clipping)] @ clipping,
+            _beyond_limits(step, Q, lost) if len(lost.lo) else np.inf,
+        )
+
+    return proof
 
 
 def _beyond_limits(step: Step, Q: Vector, Z: Interval) -> float:
@@ -194,7 +239,7 @@ def is_never_clipped(step: Step, Q: Vector, box: Interval, level: float, most: i
     limits = step.potential.design.loop.plant.u_limits
 
     def settled(Z: Interval, slope: Interval) -> Truth:
-        return _within(step.inputs(Z, step.potential.jet(Z).grad), limits)
+        return within(step.inputs(Z, step.potential.jet(Z).grad), limits)
 
     if limits is None:
         return True
@@ -275,7 +320,7 @@ def _square(metric: Interval, g: Interval) -> Interval:
     return (matmul(metric, g[..., None])[..., 0] * g).sum()
 
 
-def _within(u: Interval, limits: Sequence[Sequence[float]] | None) -> Truth:
+def within(u: Interval, limits: Sequence[Sequence[float]] | None) -> Truth:
     """Whether u is within the limits, where there are any."""
     if limits is None:
         return np.ones(u.shape[0], dtype=bool)

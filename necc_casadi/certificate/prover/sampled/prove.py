@@ -18,7 +18,12 @@ from necc_casadi.certificate.prover.arithmetic.intervals import Interval, point
 from necc_casadi.certificate.prover.arithmetic.potential import Potential
 from necc_casadi.certificate.prover.arithmetic.tables import TabledPotential
 from necc_casadi.certificate.prover.region.bounds import bounds_of
-from necc_casadi.certificate.prover.sampled.cover import cover, is_never_clipped, level_by_states
+from necc_casadi.certificate.prover.sampled.cover import (
+    cover,
+    falls,
+    is_never_clipped,
+    level_by_states,
+)
 from necc_casadi.certificate.prover.sampled.metric import Guide, choose_metric
 from necc_casadi.certificate.prover.sampled.step import Step
 from necc_casadi.designs.design import Design
@@ -95,7 +100,7 @@ def _missing(design: Design, certificate: Certificate, integrator: Integrator) -
     other = isinstance(design.loop, ShapedLoop) or design.loop.plant.preliminary is not None
     if other or design.integral is not None:
         return "only the published loop is covered"
-    if integrator == "rk4":
+    if integrator not in ("euler", "heun"):
         return "only Euler's and Heun's methods are covered"
     controller = design.loop.controller
     if any(A.has(*controller.xi) for A in (controller.Jc, controller.Rc, controller.Gc)):
@@ -139,7 +144,7 @@ def _region(
         return None
     few = points[:_FEW]
     weights, clipping = _weights(step, guide, few, period), _clipping(step, guide, few)
-    found = cover(step, Q, root, level, weights, most, least, clipping)
+    found = cover(step, Q, root, level, weights, most, least, falls(step, Q, clipping))
     if not found.level > least:
         return None
     clipped = _seen_to_clip(step, guide, found.level - bottom)

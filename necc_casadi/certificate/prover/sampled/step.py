@@ -34,7 +34,7 @@ from necc_casadi.certificate.prover.arithmetic.linearised import linearised
 from necc_casadi.certificate.prover.arithmetic.networks import network_jet
 from necc_casadi.certificate.prover.arithmetic.potential import Potential
 
-__all__ = ["Sample", "Step"]
+__all__ = ["Push", "Sample", "Step"]
 
 
 #: Rounds in which a box that holds the motion of a sample is sought, and the room that is added.
@@ -52,6 +52,8 @@ class Sample:
     gradient: Interval  # ∇V at the start, (B, N)
     inputs: Interval  # u of the law, (B, m)
     shares: Interval  # Σ, what limits leave of its damping, (B, m); NaN: −y_c may be beyond them
+    factor: Affine  # Ñ = factor N, (B, N, N)
+    reached: Interval  # where z is on the way, (B, N)
 
     def form(self, Q: Vector) -> Affine:
         """Π with W(z⁺) − W(z) = s ∇VᵀΠ∇V, W = V + ½∇VᵀQ∇V, (B, N, N)."""
@@ -63,31 +65,46 @@ class Sample:
 
 
 @dataclass(frozen=True, eq=False)
+class Push:
+    """What moves a sample away from the law, at most; natural units."""
+
+    inputs: Vector  # |error of u|, (B, m)
+    rates: Vector  # |error of ξ⁺ − ξ| for each unit of time, (B, nc)
+
+
+@dataclass(frozen=True, eq=False)
 class Step:
     """The sampled loop of a design in natural units, Φ the sum, nothing ahead of the loop."""
 
     potential: Potential
     integrator: Integrator
 
-    def over(self, Z: Interval, s: Interval) -> Sample:
-        """Samples from boxes (B, N) that last between the ends of s (B,)."""
-        with np.errstate(all="ignore"):
-            return self._over(Z, s)
+    def over(self, Z: Interval, s: Interval, push: Push | None = None) -> Sample:
+        """Samples from boxes (B, N) that last between the ends of s (B,).
 
-    def _over(self, Z: Interval, s: Interval) -> Sample:
+        With a push ∂f/∂x and ∇²V are enclosed along the motions that it may cause.
+        """
+        with np.errstate(all="ignore"):
+            return self._over(Z, s, push)
+
+    def _over(self, Z: Interval, s: Interval, push: Push | None) -> Sample:
         gradient = self.potential.jet(Z).grad
-        N = matrix_enclosure(self._flow, self._symbols, Z)
+        N = matrix_enclosure(self.flow, self._symbols, Z)
         rates = matmul(N, gradient[..., None])[..., 0]
         resting, damping = self._law(Z, gradient)
         u, shares = self._limited(resting, damping)
         n, upto = self._n, Interval(np.zeros_like(s.hi), s.hi)[:, None]
-        drift = self._motion(Z[:, :n], u, upto)
         bent, moved = self._advanced(Z, N, rates[:, n:], upto)
+        given = u
+        if push is not None:
+            given = u + Interval(-push.inputs, push.inputs)
+            moved = moved + upto * Interval(-push.rates, push.rates)
+        drift = self._motion(Z[:, :n], given, upto)
         curved = self.potential.curvatures(_side_by_side(Z[:, :n] + drift, moved))
         energy, rest = linearised(self._bends, self._symbols[:n], Z[:, :n], drift)
         blocks = [Interval(-rest, rest), *(A for A, _ in curved)]
         frames = [np.eye(self._size)[:n], *(L for _, L in curved)]
-        slopes, left = self._slopes_over(Z[:, :n], u, drift)
+        slopes, left = self._slopes_over(Z[:, :n], given, drift)
         free = [N, Interval(-left, left)] + ([] if bent is None else [bent])
         free += self.channels(Z)
         made, count = affine_matrices(
@@ -110,8 +127,12 @@ class Step:
             lost.parts[:, first + count + i] = shares[:, i].rad[:, None, None]
             flow = flow + channel.scaled(lost)
         A = _among(slopes, 0, every) + apart
-        step = self._factor(period, A, curved_flow, s.hi) @ flow
-        return Sample(period, step, mean, weighted, gradient, resting + damping, shares)
+        factor = self._factor(period, A, curved_flow, s.hi)
+        reached = _side_by_side(Z[:, :n] + drift, moved)
+        asked = resting + damping
+        return Sample(
+            period, factor @ flow, mean, weighted, gradient, asked, shares, factor, reached
+        )
 
     def _slopes_over(self, X: Interval, u: Interval, drift: Interval) -> tuple[Affine, Vector]:
         """Means of ∂f/∂x, (B, n, n)."""
@@ -267,7 +288,7 @@ class Step:
         return sp.hessian(self.potential.energy, self._symbols[: self._n])
 
     @cached_property
-    def _flow(self) -> sp.Matrix:
+    def flow(self) -> sp.Matrix:
         """N = M − 𝒢𝒟𝒢ᵀ, exactly."""
         loop = self.potential.design.loop
         ports = sp.Matrix(loop.ports)
