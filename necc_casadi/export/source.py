@@ -94,7 +94,10 @@ class Source:
 
     @property
     def sampled_claim(self) -> str | None:
-        """What is claimed of the loop that this code makes, in words."""
+        """What is claimed of the loop that this code makes, in words; None of another method."""
+        region = None if self.certificate is None else self.certificate.sampled
+        if region is None or region.integrator != self.integrator:
+            return None
         return next((claim.statement for claim in self._held if claim.name == "sampled"), None)
 
     @property
