@@ -41,8 +41,9 @@ class Source:
     Raises
     ------
     OptionError
-        For an unknown type or integrator, a sample time that is not positive, a prefix that is
-        no beginning of a name in C, or the certificate of another design.
+        For an unknown type or integrator, one that does not fit the design, a sample time that is
+        not positive, a prefix that is no beginning of a name in C, or the certificate of another
+        design.
     """
 
     design: Design
