@@ -137,7 +137,7 @@ def test_what_is_proved_of_another_method_is_not_said_of_this_code():
         assert all(c != claim.statement for c in source.claims)
 
 
-@settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=12, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(designs(), st.integers(0, 2**16), st.sampled_from(["double", "float"]))
 def test_control_law_for_any_networks(d, seed, real):
     compiled = compile_controller(d, real=real, flags=[*STRICT, "-O1"])

@@ -182,6 +182,21 @@ def test_float_keeps_what_rounding_takes_away():
     assert ends["float"] == pytest.approx(ends["double"], abs=2e-7)
 
 
+def test_a_controller_that_starts_anew_forgets_what_it_kept():
+    d = made()
+    compiled = compile_controller(d, integrator="casimir", sample_time=0.25, flags=STRICT)
+    used, fresh = compiled.running([0.5, 0.1]), compiled.running()
+    for k in range(5):
+        used.step([0.1 * k, 0.3], 0.125)
+    assert used.xi != pytest.approx(d.xi_star)
+    compiled._function("init")(used.state)
+    assert_array_equal(used.xi, fresh.xi)
+    for k in range(5):
+        x = [0.2 - 0.1 * k, 0.3]
+        assert_array_equal(used.step(x, 0.125)[0], fresh.step(x, 0.125)[0])
+        assert_array_equal(used.xi, fresh.xi)
+
+
 def test_a_rejected_sample_changes_nothing():
     d = made()
     compiled = compile_controller(d, integrator="casimir", sample_time=0.25, flags=STRICT)
