@@ -41,8 +41,9 @@ class Source:
     Raises
     ------
     OptionError
-        For an unknown type or integrator, a sample time that is not positive, a prefix that is
-        no beginning of a name in C, or the certificate of another design.
+        For an unknown type or integrator, one that does not fit the design, a sample time that is
+        not positive, a prefix that is no beginning of a name in C, or the certificate of another
+        design.
     """
 
     design: Design
@@ -95,7 +96,10 @@ class Source:
 
     @property
     def sampled_claim(self) -> str | None:
-        """What is claimed of the loop that this code makes, in words."""
+        """What is claimed of the loop that this code makes, in words; None of another method."""
+        region = None if self.certificate is None else self.certificate.sampled
+        if region is None or region.integrator != self.integrator:
+            return None
         return next((claim.statement for claim in self._held if claim.name == "sampled"), None)
 
     @property
