@@ -29,6 +29,7 @@ class Law:
     V_xi: ca.SX  # (nc,), ∂V/∂ξ
     u: ca.SX  # (m,)
     rate: ca.SX  # (nc,), ṡ
+    damped: ca.SX  # (nc,), what damping adds to it
 
     @property
     def slopes(self) -> dict[str, ca.SX]:
@@ -52,8 +53,10 @@ def law_of(design: Design) -> Law:
     injected = -ca.DM(design.damping) @ (terms.ports(z).T @ V_z)
     u = injected[:m] - terms.feedback(z) @ grad_hc
     u = u if terms.preliminary is None else terms.preliminary(z[:n], u)
-    rate = terms.own_structure(z) @ energy_slope + terms.own_ports(z) @ injected
-    c, V_xi, u, rate = ca.substitute(
-        [c, V_z[n:], u, rate], [z, grad_H], [here, ca.densify(terms.measured.grad_H(x))]
+    damped = terms.own_ports(z) @ injected
+    rate = terms.own_structure(z) @ energy_slope + damped
+    slope_here = ca.densify(terms.measured.grad_H(x))
+    c, V_xi, u, rate, damped = ca.substitute(
+        [c, V_z[n:], u, rate, damped], [z, grad_H], [here, slope_here]
     )
-    return Law(x, s, state, here[n:], grad_hc, gamma, phi_1, c, V_xi, u, rate)
+    return Law(x, s, state, here[n:], grad_hc, gamma, phi_1, c, V_xi, u, rate, damped)

@@ -5,6 +5,7 @@ With γᵢ = Φ₂ ∂C/∂cᵢ and Φ₁ from the networks,
     ∂V/∂x = Φ₁ ∇H + Σ γᵢ ∂cᵢ/∂x,   ∂V/∂ξ = Φ₁ ∇Hc + Σ γᵢ ∂cᵢ/∂ξ.
 
 The code keeps s, which is ξ itself in the published loop, and ξ − γ(x) in one of power shaping.
+With ``casimir`` it reads ξ off x, and keeps ξ − γ(x) of the published loop (``kept_casimirs.py``).
 """
 
 from __future__ import annotations
@@ -21,10 +22,14 @@ from necc_casadi.export.margin import (
 )
 from necc_casadi.export.networks import CNetwork, c_network, kernels, loop_sizes
 from necc_casadi.export.source import Source
-from necc_casadi.export.targets import target_code
+from necc_casadi.export.targets import moving_set, target_code
 from necc_casadi.export.templating import fill, indent
 
 __all__ = ["c_networks", "controller"]
+
+
+#: In ``necc_update``, with integral action.
+_INTEGRATE = "integrate(next.x, dt, next.zeta, next.zeta_rest);"
 
 
 #: Body of ``necc_start`` where ξ does not start along with x(0).
@@ -51,7 +56,7 @@ def controller(source: Source) -> str:
         parts=indent(_parts(source)),
         shape=indent(_shape(source)),
         law_arguments=_members(source),
-        integrator=fill(f"{source.integrator}.c"),
+        **_update(source),
         saturation=saturation,
         saturate="saturate(u)" if saturation else "NECC_OK",
         xi_star=real.literals(source.design.stored_star),
@@ -64,11 +69,41 @@ def controller(source: Source) -> str:
     return source.named(text)
 
 
+def _update(source: Source) -> dict[str, str]:
+    """How ξ comes from one sample to the next."""
+    kept, real = source.kept, source.number
+    integrate = "" if source.design.integral is None else _INTEGRATE
+    if kept is None:
+        return {
+            "integrator": fill(f"{source.integrator}.c"),
+            "update": fill("update_held.c", integrate=integrate),
+            "rate_of": "xi' alone.",
+            "arrive": "",
+            "remember": "\n    (void)memcpy(next.xidot, xidot, sizeof xidot);\n    next.moved = 0;",
+        }
+    x = ca.SX.sym("x", source.n)
+    gamma = kept.gamma(ca.densify(source.design.lyapunov.terms.measured.state(x)))
+    leaf = c_function("integrated", [("x", x)], [("shift", gamma)], real)
+    update = fill(
+        "update_kept.c",
+        steps=source.substeps,
+        longest=real.literal(source.longest_due),
+        integrate=integrate.replace("next.", "state->"),
+    )
+    return {
+        "integrator": f"/* What xi is more than what is kept, at x. */\n{leaf}",
+        "update": update,
+        "rate_of": "What damping adds to the rate of xi.",
+        "arrive": f"arrive(&next, {'at' if moving_set(source) else 'x'});\n    ",
+        "remember": "",
+    }
+
+
 def _integral(source: Source) -> dict[str, str]:
     """What integral action adds: its code, and ζ before, in and after a sample."""
     design, real = source.design, source.number
     if design.integral is None:
-        return dict.fromkeys(("integral", "counter", "integrate", "subtract"), "")
+        return dict.fromkeys(("integral", "counter", "subtract"), "")
     x, q_star = ca.SX.sym("x", source.n), design.z_star[: source.n // 2]
     rate = integral_rate(design.lyapunov, design.integral, q_star, measured=True)
     leaf = c_function("integral_rate", [("x", x)], [("rate", rate(x))], real)
@@ -76,7 +111,6 @@ def _integral(source: Source) -> dict[str, str]:
     return {
         "integral": code,
         "counter": "\n    int i;",
-        "integrate": "integrate(next.x, dt, next.zeta, next.zeta_rest);",
         "subtract": "\n    for (i = 0; i < NECC_NU; ++i) {\n        v[i] -= state->zeta[i];\n    }",
     }
 
@@ -103,7 +137,8 @@ def _leaves(source: Source) -> list[str]:
     if needs_state(source):
         leaves.append(c_function("model_state", arguments[:1], [("state", law.state)], real))
     leaves.append(c_function("control_law", arguments, [("u", law.u), ("xidot", law.rate)], real))
-    leaves.append(c_function("state_rate", arguments, [("xidot", law.rate)], real))
+    moved = law.rate if source.kept is None else law.damped
+    leaves.append(c_function("state_rate", arguments, [("xidot", moved)], real))
     leaves.append(c_function("energy_slope", arguments, [("gradient", law.V_xi)], real))
     return leaves
 

@@ -21,6 +21,7 @@ from necc_casadi.cases import (
     Precision,
     Shape,
 )
+from necc_casadi.casimirs.outputs import refuse_kept, refuse_without_time
 from necc_casadi.errors import ModelError, OptionError
 from necc_casadi.model.file_entries import damping_matrix
 from necc_casadi.model.model_file import Model, load_model
@@ -255,6 +256,20 @@ def _check_integral(request: Request, options: Options, model: Model) -> None:
             )
 
 
+def _check_kept(request: Request, options: Options) -> None:
+    """Refuse what Casimirs cannot be kept with, before any training."""
+    if request.sample_time is None:
+        refuse_without_time()
+    neither = {
+        "--phi neural": options.phi != "sum",
+        "--casimir-form sum": options.casimir_form != "joint",
+        "--learn-casimir": options.learn_casimir,
+    }
+    for name, given in neither.items():
+        if given:
+            refuse_kept(f"with {name} nothing bounds the curvature of V in ξ")
+
+
 def read_options(request: Request, model: Model) -> Options:
     """The options of the synthesis, from the request and the model."""
     m = model.system.m
@@ -272,6 +287,8 @@ def read_options(request: Request, model: Model) -> Options:
     check_options(options)
     if request.integral is not False:
         _check_integral(request, options, model)
+    if request.integrator == "casimir":
+        _check_kept(request, options)
     check_disturbances(request, model.system)
     if model.told and model.parametric is None:
         raise OptionError(

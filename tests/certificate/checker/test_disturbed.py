@@ -121,7 +121,7 @@ def test_a_core_in_which_more_is_left_is_refused(sampled_folder, found):
 
 
 def test_boxes_that_are_no_tree_are_refused(sampled_folder, found):
-    with pytest.raises(ValueError, match="tree"):
+    with pytest.raises(ValueError, match="boxes of the sampled region"):
         forged(sampled_folder, tree=packed_tree(found.nodes[:-1]))
     one = packed_tree(bytes([BEYOND]))  # all of it, and z̄ with it
     assert not forged(sampled_folder, tree=one).holds

@@ -19,7 +19,7 @@ from necc_casadi.certificate.prover.arithmetic.definite import positive_definite
 from necc_casadi.certificate.prover.arithmetic.intervals import Interval, matmul, point
 from necc_casadi.certificate.prover.arithmetic.potential import Potential
 from necc_casadi.certificate.prover.arithmetic.tables import TabledPotential
-from necc_casadi.certificate.prover.sampled.cover import cover, where_above, within
+from necc_casadi.certificate.prover.sampled.cover import Shown, cover, where_above, within
 from necc_casadi.certificate.prover.sampled.disturbance import Computed, Disturbed, Falls
 from necc_casadi.certificate.prover.sampled.metric import Guide
 from necc_casadi.certificate.prover.sampled.prove import rates_of_change
@@ -136,10 +136,10 @@ class _Proof:
             g = matmul(point(loop.frame[None]), wide.step.potential.jet(Z).grad[..., None])[..., 0]
             return np.asarray(inner | (_length(g) > slope * (1 + _EASED)), dtype=bool)
 
-        def proof(Z: Interval, s: Interval) -> Truth:
+        def proof(Z: Interval, s: Interval) -> Shown:
             found = wide.over(Z, s, rate, computed)
             small = found.least < slope * (1 - _EASED)
-            return np.asarray(found.proved & within(found.inputs, limits) & small, dtype=bool)
+            return Shown(found.proved & within(found.inputs, limits) & small)
 
         least = self._bottom + max(first.above, _LEAST * region.height)
         top = where_above(wide.step.potential, loop.Q, box, region.level, _BOXES, least, steep)
