@@ -191,19 +191,19 @@ def _disturbed_region(made: Design, certificate: Certificate | None) -> dict[str
         return None
     units, plant = certificate.units, made.loop.plant
 
-    def named(names: Sequence[object], sizes: Sequence[float], scale: Iterable[float]) -> Any:
+    def by_name(names: Sequence[object], sizes: Sequence[float], scale: Iterable[float]) -> Any:
         triples = zip(names, sizes, scale, strict=False)
         return {str(name): size * float(unit) for name, size, unit in triples}
 
     return {
         "periods": [found.shortest * units.time, found.period * units.time],
         "real": found.precision,
-        "noise": named(plant.states, found.noise, units.state),
-        "input_error": named(plant.input_names, found.input_error, made.units.input),
+        "noise": by_name(plant.states, found.noise, units.state),
+        "input_error": by_name(plant.input_names, found.input_error, made.units.input),
         "delayed": found.delay is not None,
         "level_above_minimum": found.height * units.energy,
         "limit_above_minimum": found.above * units.energy,
-        "radius": named(made.loop.states, found.radius, units.state),
+        "radius": by_name(made.loop.states, found.radius, units.state),
     }
 
 
