@@ -13,6 +13,7 @@ from __future__ import annotations
 import casadi as ca
 
 from necc_casadi.designs.integral import integral_rate
+from necc_casadi.designs.law import law_of
 from necc_casadi.export.casadi2c import c_function
 from necc_casadi.export.margin import (
     margin_code,
@@ -125,39 +126,20 @@ def c_networks(source: Source) -> list[CNetwork]:
 
 def _leaves(source: Source) -> list[str]:
     """Casimirs, H where Φ or the margin takes it, and the law given the networks' slopes."""
-    design, real = source.design, source.number
-    terms = design.lyapunov.terms
-    x, s = ca.SX.sym("x", source.n), ca.SX.sym("xi", source.nc)  # x as it is measured
-    z, state = ca.SX.sym("z", source.n + source.nc), ca.densify(terms.measured.state(x))
-    here, grad_H = ca.vertcat(state, s + terms.gamma(state)), ca.SX.sym("grad_H", source.n)
-    c = terms.c(z)
-    grad_hc, gamma = ca.SX.sym("grad_hc", source.nc), ca.SX.sym("gamma", source.r)
-    phi_1 = ca.SX.sym("phi_1") if source.neural_phi else ca.SX(1)
-    energy_slope = ca.vertcat(grad_H, grad_hc)
-    V_z = phi_1 * energy_slope + ca.jacobian(c, z).T @ gamma
-    injected = -ca.DM(design.damping) @ (terms.ports(z).T @ V_z)
-    u = injected[: source.m] - terms.feedback(z) @ grad_hc
-    u = u if terms.preliminary is None else terms.preliminary(z[: source.n], u)
-    damped = terms.own_ports(z) @ injected
-    s_dot = terms.own_structure(z) @ energy_slope + damped
-    slope_here = ca.densify(terms.measured.grad_H(x))
-    c, V_xi, u, s_dot, damped = ca.substitute(
-        [c, V_z[source.n :], u, s_dot, damped], [z, grad_H], [here, slope_here]
-    )
-    slopes = {"grad_hc": grad_hc, "gamma": gamma, "phi_1": phi_1}
-    arguments = [("x", x), ("xi", s), *((name, slopes[name]) for name in _slopes(source))]
-    leaves = [c_function("casimirs", arguments[:2], [("c", c)], real)]
+    design, real, law = source.design, source.number, law_of(source.design)
+    arguments = [("x", law.x), ("xi", law.s), *law.slopes.items()]
+    leaves = [c_function("casimirs", arguments[:2], [("c", law.casimirs)], real)]
     if source.shaped:
-        leaves.append(c_function("shifted", arguments[:2], [("held", here[source.n :])], real))
+        leaves.append(c_function("shifted", arguments[:2], [("held", law.held)], real))
     if source.neural_phi or margin_of_region(source) is not None:
-        H = terms.measured.H(x)
+        H = design.lyapunov.terms.measured.H(law.x)
         leaves.append(c_function("hamiltonian", arguments[:1], [("H", H)], real))
     if needs_state(source):
-        leaves.append(c_function("model_state", arguments[:1], [("state", state)], real))
-    leaves.append(c_function("control_law", arguments, [("u", u), ("xidot", s_dot)], real))
-    moved = s_dot if source.kept is None else damped
+        leaves.append(c_function("model_state", arguments[:1], [("state", law.state)], real))
+    leaves.append(c_function("control_law", arguments, [("u", law.u), ("xidot", law.rate)], real))
+    moved = law.rate if source.kept is None else law.damped
     leaves.append(c_function("state_rate", arguments, [("xidot", moved)], real))
-    leaves.append(c_function("energy_slope", arguments, [("gradient", V_xi)], real))
+    leaves.append(c_function("energy_slope", arguments, [("gradient", law.V_xi)], real))
     return leaves
 
 

@@ -183,12 +183,15 @@ def _sampled_claim(source: Source) -> str:
     """What is proved of the loop that this code makes, called with the time since the last call."""
     if source.sampled_claim is None:
         return ""
-    kept = "" if source.real == "double" else " This code rounds to float; the claim does not."
+    near = source.disturbed_claim
+    kept = " It does not cover rounding." if near is None else ""
     text = (
         "Proved of the sampled loop, where dt of necc_step is the time since the last call, 0 at "
         f"the first: {source.sampled_claim}.{kept}"
     )
-    return f"\n/*\n{_item(comment(text))}\n */"
+    items = [text] if near is None else [text, f"Proved of this code, too: {near}."]
+    lines = "\n".join(_item(comment(item)) for item in items)
+    return f"\n/*\n{lines}\n */"
 
 
 def _measured(source: Source) -> str:

@@ -48,7 +48,10 @@ def readme(source: Source, *, measured: bool = True) -> str:
     rows = [m for flags in _FLAGS if compiler and (m := measure(source, compiler, flags))]
     float_note = ""
     if source.real == "float":
-        float_note = " The claims in `necc.h` are about exact arithmetic, not about its rounding."
+        beside = (
+            "but the one about this code" if source.disturbed_claim else "not about its rounding"
+        )
+        float_note = f" The claims in `necc.h` are about exact arithmetic, {beside}."
     text = fill(
         "README.md",
         title=escaped(source.design.loop.plant.name),

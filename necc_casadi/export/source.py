@@ -91,7 +91,8 @@ class Source:
     def claims(self) -> tuple[str, ...]:
         """What is claimed of the loop in continuous time, in words."""
         held = self._held
-        return tuple(claim.statement for claim in held if claim.name != "sampled")
+        own = ("sampled", "disturbed")
+        return tuple(claim.statement for claim in held if claim.name not in own)
 
     @property
     def sampled_claim(self) -> str | None:
@@ -100,6 +101,14 @@ class Source:
         if region is None or region.integrator != self.integrator:
             return None
         return next((claim.statement for claim in self._held if claim.name == "sampled"), None)
+
+    @property
+    def disturbed_claim(self) -> str | None:
+        """The same under rounding of the type of this code, noise and delay."""
+        if self.sampled_claim is None:
+            return None
+        same = (c for c in self._held if c.name == "disturbed" and c.data["precision"] == self.real)
+        return next((claim.statement for claim in same), None)
 
     @property
     def _held(self) -> tuple[Claim, ...]:

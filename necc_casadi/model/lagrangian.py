@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 import sympy as sp
@@ -34,6 +35,16 @@ class Lagrangian:
     R: sp.ImmutableMatrix  # k × k, of θ
     B: sp.ImmutableMatrix  # k × k, constant, regular
     ranges: Mapping[sp.Symbol, Range] = field(default_factory=dict)  # of θ
+
+    @cached_property
+    def affine(self) -> tuple[sp.Symbol, ...]:
+        """Those θ that M, U and R have to the first power, the others held."""
+        entries = {sp.sympify(v) for v in (self.U, *self.M, *self.R)}
+        return tuple(
+            s
+            for s in self.ranges
+            if all(is_zero(v.diff(s, 2)) is True for v in entries if v.has(s))
+        )
 
 
 @dataclass(frozen=True, eq=False)

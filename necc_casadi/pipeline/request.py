@@ -27,6 +27,7 @@ from necc_casadi.model.file_entries import damping_matrix
 from necc_casadi.model.model_file import Model, load_model
 from necc_casadi.model.plant import Plant
 from necc_casadi.model.target import free_coordinates, parse_target, target_from_model
+from necc_casadi.pipeline.disturbances import check_disturbances
 from necc_casadi.pipeline.ranges import middle_of_target
 from necc_casadi.synthesis.options import Options, check_options, paper_options
 from necc_casadi.verdict.controller_structures import suggest_controllers
@@ -94,6 +95,10 @@ class Request:
     structure: str | None = None  # name of a controller structure that the tool offers
     real: Precision = "double"
     sample_time: float | None = None
+    min_sample_time: float | None = None  # s
+    noise: str | None = None  # NAME=SIZE,… of measured states
+    input_error: str | None = None  # NAME=SIZE,… of inputs as they are applied
+    delay: bool = False  # u is applied one sample late
     integrator: Integrator = "heun"
     prefix: str = "necc"
     fmu: bool = False
@@ -284,6 +289,7 @@ def read_options(request: Request, model: Model) -> Options:
         _check_integral(request, options, model)
     if request.integrator == "casimir":
         _check_kept(request, options)
+    check_disturbances(request, model.system)
     if model.told and model.parametric is None:
         raise OptionError(
             "param",

@@ -77,6 +77,24 @@ def pendulum_with_load(**ranges) -> Plants:
     return Plants(Parametric(*structure, H, {"l": sp.Integer(0)}), ranges)
 
 
+def arm_with_payload(lo: str = "0", hi: str = "1") -> tuple[Design, Plants]:
+    """Two links of 1 kg and 1 m that hold half a kilogram, and any payload between two."""
+    a, b, mp = sp.symbols("q1 q2 mp", real=True)
+    x, half = phase_space((a, b)), sp.Rational(1, 2)
+    both = mp * (1 + sp.cos(b)) + sp.Rational(1, 3) + sp.cos(b) / 2
+    M = sp.Matrix([[sp.Rational(5, 3) + sp.cos(b) + 2 * mp * (1 + sp.cos(b)), both],
+                   [both, sp.Rational(1, 3) + mp]])  # fmt: skip
+    V = (sp.Rational(3, 2) + mp) * (1 - sp.cos(a)) + (half + mp) * (1 - sp.cos(a + b))
+    V, friction = sp.Rational(981, 100) * V, sp.eye(2) / 5
+    known = {mp: half}
+    loop, casimirs = mechanical_loop(M.subs(known), V.subs(known), sp.eye(2), (a, b), friction)
+    made = sprung(loop, casimirs, [sp.pi / 4, -sp.pi / 3], 110, 110, 8, 0.1)
+    J, R, G, H = Mechanical.formal(x, M, V, sp.eye(2), friction).structure
+    structure = (sp.ImmutableMatrix(v) for v in (J, R, G))
+    formal = Parametric(*structure, H, {"mp": half})
+    return made, Plants(formal, {"mp": (sp.sympify(lo), sp.sympify(hi))})
+
+
 def arm() -> Design:
     """Two links with friction, whose inputs are not the joint torques."""
     q1, q2 = q = sp.symbols("q1 q2", real=True)

@@ -143,6 +143,7 @@ class _Fall(StoredRemainders):
         self.damping = self.B * D * self.B.transpose()
         self.inner = self.Gc * Dc * self.Gc.transpose()
         self.limit = model.integral.limit
+        self.by_theta = [(self.M.diff(s), self.R.diff(s)) for s in self.symbols]
 
     @property
     def leads(self) -> arb:
@@ -188,9 +189,8 @@ class _Fall(StoredRemainders):
         value = sum((v * f[0] for v, f in zip(e, forces, strict=True)), arb(0)) / (2 * tau)
         turned = [(arb_mat([e]) * matrix_at(M, there) * column)[0, 0] for M in self.bent]
         slopes = [f[0] / tau - v / (2 * tau * tau) for f, v in zip(forces, turned, strict=True)]
-        for s in self.symbols:
-            heavier = matrix_at(self.M.diff(s), there) * (1 / tau)
-            stiffer = matrix_at(self.R.diff(s), known) - heavier
+        for heavier, rougher in self.by_theta:
+            stiffer = matrix_at(rougher, known) - matrix_at(heavier, there) * (1 / tau)
             slopes.append((arb_mat([e]) * stiffer * column)[0, 0] / (2 * tau))
         return value, slopes
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import reduce
 from itertools import count
 
@@ -17,12 +18,31 @@ from necc_casadi.certificate.checker.model import StoredDesign
 from necc_casadi.certificate.checker.sampled.linear import Linear
 from necc_casadi.certificate.checker.sampled.linearised import Linearised
 
-__all__ = ["StepProof"]
+__all__ = ["SampleProof", "StepProof"]
 
 
 #: Tries to enclose the motion of a sample; boxes are widened to multiples of this, so that many
 #: are alike.
 _TRIES, _GRID = 6, 2.0**-8
+
+
+@dataclass(frozen=True)
+class SampleProof:
+    """A sample over a box and periods: z⁺ − z = s Ñ∇V, Ñ = factor N."""
+
+    period: tuple[int, arb, arb]  # s, a number of its own, its middle and its radius
+    factor: Linear
+    step: Linear  # Ñ
+    mean: Linear  # S̄
+    weighted: Linear  # S̃
+    reached: Box  # where z is on the way
+
+    def form(self, Q: arb_mat) -> Linear:
+        """A matrix with symmetric part Π, W(z⁺) − W(z) = s ∇VᵀΠ∇V."""
+        metric, step = Linear(Q, {}), self.step
+        turned = self.mean @ step
+        second = step.T @ (self.weighted @ step) + turned.T @ (metric @ turned)
+        return step + metric @ turned + second.scaled(self.period).times(arb(1) / 2)
 
 
 class StepProof:
@@ -59,10 +79,26 @@ class StepProof:
         B = _table(self._ports(values), len(box))
         return [-_dot(a, slopes) - _dot(b, gradient) for a, b in zip(A, B, strict=True)]
 
+    def rates(self, box: Box, gradient: Sequence[arb]) -> list[arb]:
+        """N∇V over a box, of which the last are ξ̇."""
+        N = _table(self._flow([ball(*side) for side in box]), len(box))
+        return [_dot(row, gradient) for row in N]
+
     def form(
         self, box: Box, gradient: list[arb], u: list[arb], period: tuple[float, float], Q: arb_mat
     ) -> Linear | None:
         """A matrix with symmetric part Π, W(z⁺) − W(z) = s ∇VᵀΠ∇V; None: the motion is not held."""
+        sample = self.sample(box, gradient, u, period)
+        return None if sample is None else sample.form(Q)
+
+    def sample(
+        self, box: Box, gradient: list[arb], u: list[arb], period: tuple[float, float],
+        push: Sequence[arb] = (),
+    ) -> SampleProof | None:  # fmt: skip
+        """A sample over a box, u in balls; None: the motion is not held.
+
+        `push` bounds the error of ξ⁺ − ξ for each unit of time.
+        """
         model, names = self.model, count()
         n, size, last = model.n, len(box), period[1]
         values = [ball(*side) for side in box]
@@ -84,7 +120,10 @@ class StepProof:
                 v + upto * (r + upto * a / 2)
                 for v, r, a in zip(values[n:], rate[n:], more, strict=True)
             ]
-        blocks = self.energy.curvatures(_outwards([*(ball(*side) for side in X), *there]))
+        for i, off in enumerate(push):
+            there[i] = there[i] + upto * off * ball(-1.0, 1.0)
+        reached = _outwards([*(ball(*side) for side in X), *there])
+        blocks = self.energy.curvatures(reached)
         varying = [next(names) for _ in range(n + model.m)]
         bends = [self._bends(box[:n], X, varying[:n], names) for _ in range(2)]
         mean, weighted = (_whole(H, blocks, size, names) for H in bends)
@@ -92,11 +131,9 @@ class StepProof:
         slopes = self._slopes((*box[:n], *given), (*X, *given), varying, names)
         s = (next(names), arb(period[0] / 2 + period[1] / 2), arb(0))
         s = (s[0], s[1], _spread(period, s[1]))
-        step = self._factor(slopes, bent, s, last, names, size) @ Linear.of(N, names, False)
-        metric = Linear(Q, {})
-        turned = mean @ step
-        second = step.T @ (weighted @ step) + turned.T @ (metric @ turned)
-        return step + metric @ turned + second.scaled(s).times(arb(1) / 2)
+        factor = self._factor(slopes, bent, s, last, names, size)
+        step = factor @ Linear.of(N, names, False)
+        return SampleProof(s, factor, step, mean, weighted, reached)
 
     def _factor(
         self,

@@ -20,7 +20,7 @@ from necc_casadi.certificate.prover.arithmetic.intervals import Interval, matmul
 from necc_casadi.certificate.prover.arithmetic.potential import Potential
 from necc_casadi.certificate.prover.sampled.step import Step
 
-__all__ = ["Cover", "cover", "level_by_states"]
+__all__ = ["Cover", "cover", "level_by_states", "lower_bounds", "within"]
 
 
 #: Boxes at once, and how often one is halved at most.
@@ -33,6 +33,9 @@ _HOPELESS = 4000
 
 #: Whether what is to be shown of boxes (B, N), with ∇W on them, is, (B,).
 Settled = Callable[[Interval, Interval], Truth]
+#: Whether what is to be shown of boxes (B, N) and periods (B,) is, and whether, where it is not,
+#: the states alone are in the way.
+Proof = Callable[[Interval, Interval], tuple[Truth, Truth]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,6 +99,8 @@ def cover(
     weights: Vector,
     most: int,
     least: float,
+    proof: Proof | None = None,
+    deepest: int = _DEEPEST,
 ) -> Cover:
     """Boxes that prove {W < w₀} for the largest w₀ ≤ `level` that was found, −∞ where none was.
 
@@ -109,10 +114,14 @@ def cover(
         Boxes that may be looked at.
     least
         Levels below this one are of no use.
+    proof
+        What is to be shown of boxes; by default that W falls, with u within its limits.
+    deepest
+        How often a box is halved at most.
     """
     tree, done, kept = _Tree(root), 0, False
     heap: list[tuple[float, int]] = [(-np.inf, 0)]
-    limits = step.potential.design.loop.plant.u_limits
+    proof = proof or _falls(step, Q)
     while heap and heap[0][0] <= level and level > least:
         taken: list[int] = []
         bounds: list[float] = []
@@ -130,24 +139,35 @@ def cover(
         Z, s = cells[:, :-1], cells[:, -1]
         lowest, _ = lower_bounds(step.potential, Q, Z)
         lowest = np.maximum(lowest, bounds)
-        proved = np.zeros(len(taken), dtype=bool)
+        proved, of_states = np.zeros((2, len(taken)), dtype=bool)
         reached = np.flatnonzero(lowest <= level)
         if len(reached):
-            sample = step.over(Z[reached], s[reached])
-            falls = negative_definite(sample.form(Q), _EASED)
-            proved[reached] = falls & _within(sample.inputs, limits)
+            proved[reached], of_states[reached] = proof(Z[reached], s[reached])
         for k, i in enumerate(taken):
             if lowest[k] > level or proved[k]:
                 tree.node[i] = BEYOND if lowest[k] > level else KEPT
                 kept = kept or bool(proved[k])
                 continue
-            side = int(np.argmax((tree.hi[i] - tree.lo[i]) * weights))
-            if tree.depth[i] >= _DEEPEST:
+            loose = (tree.hi[i] - tree.lo[i]) * weights
+            side = int(np.argmax(loose[:-1] if of_states[k] else loose))
+            if tree.depth[i] >= deepest:
                 level = min(level, float(lowest[k]))
                 continue
             for j in tree.split(i, side):
                 heapq.heappush(heap, (float(lowest[k]), j))
     return Cover(level, tree.packed())
+
+
+def _falls(step: Step, Q: Vector) -> Proof:
+    """Whether W falls, with u within its limits."""
+    limits = step.potential.design.loop.plant.u_limits
+
+    def proof(Z: Interval, s: Interval) -> tuple[Truth, Truth]:
+        sample = step.over(Z, s)
+        falls = negative_definite(sample.form(Q), _EASED) & within(sample.inputs, limits)
+        return falls, np.zeros_like(falls)
+
+    return proof
 
 
 def level_by_states(
@@ -247,7 +267,7 @@ def _square(metric: Interval, g: Interval) -> Interval:
     return (matmul(metric, g[..., None])[..., 0] * g).sum()
 
 
-def _within(u: Interval, limits: Sequence[Sequence[float]] | None) -> Truth:
+def within(u: Interval, limits: Sequence[Sequence[float]] | None) -> Truth:
     """Whether u is within the limits, where there are any."""
     if limits is None:
         return np.ones(u.shape[0], dtype=bool)

@@ -34,7 +34,7 @@ from necc_casadi.certificate.prover.arithmetic.linearised import linearised
 from necc_casadi.certificate.prover.arithmetic.networks import network_jet
 from necc_casadi.certificate.prover.arithmetic.potential import Potential
 
-__all__ = ["Sample", "Step"]
+__all__ = ["Push", "Sample", "Step"]
 
 
 #: Rounds in which a box that holds the motion of a sample is sought, and the room that is added.
@@ -51,6 +51,8 @@ class Sample:
     weighted: Affine  # S̃ = 2∫(1 − θ)∇²V(z + θΔz)dθ
     gradient: Interval  # ∇V at the start, (B, N)
     inputs: Interval  # u, (B, m)
+    factor: Affine  # Ñ = factor N, (B, N, N)
+    reached: Interval  # where z is on the way, (B, N)
 
     def form(self, Q: Vector) -> Affine:
         """Π with W(z⁺) − W(z) = s ∇VᵀΠ∇V, W = V + ½∇VᵀQ∇V, (B, N, N)."""
@@ -62,30 +64,45 @@ class Sample:
 
 
 @dataclass(frozen=True, eq=False)
+class Push:
+    """What moves a sample away from the law, at most; natural units."""
+
+    inputs: Vector  # |error of u|, (B, m)
+    rates: Vector  # |error of ξ⁺ − ξ| for each unit of time, (B, nc)
+
+
+@dataclass(frozen=True, eq=False)
 class Step:
     """The sampled loop of a design in natural units, Φ the sum, nothing ahead of the loop."""
 
     potential: Potential
     integrator: Integrator
 
-    def over(self, Z: Interval, s: Interval) -> Sample:
-        """Samples from boxes (B, N) that last between the ends of s (B,)."""
-        with np.errstate(all="ignore"):
-            return self._over(Z, s)
+    def over(self, Z: Interval, s: Interval, push: Push | None = None) -> Sample:
+        """Samples from boxes (B, N) that last between the ends of s (B,).
 
-    def _over(self, Z: Interval, s: Interval) -> Sample:
+        With a push ∂f/∂x and ∇²V are enclosed along the motions that it may cause.
+        """
+        with np.errstate(all="ignore"):
+            return self._over(Z, s, push)
+
+    def _over(self, Z: Interval, s: Interval, push: Push | None) -> Sample:
         gradient = self.potential.jet(Z).grad
-        N = matrix_enclosure(self._flow, self._symbols, Z)
+        N = matrix_enclosure(self.flow, self._symbols, Z)
         rates = matmul(N, gradient[..., None])[..., 0]
         u = self.inputs(Z, gradient)
         n, upto = self._n, Interval(np.zeros_like(s.hi), s.hi)[:, None]
-        drift = self._motion(Z[:, :n], u, upto)
         bent, moved = self._advanced(Z, N, rates[:, n:], upto)
+        given = u
+        if push is not None:
+            given = u + Interval(-push.inputs, push.inputs)
+            moved = moved + upto * Interval(-push.rates, push.rates)
+        drift = self._motion(Z[:, :n], given, upto)
         curved = self.potential.curvatures(_side_by_side(Z[:, :n] + drift, moved))
         energy, rest = linearised(self._bends, self._symbols[:n], Z[:, :n], drift)
         blocks = [Interval(-rest, rest), *(A for A, _ in curved)]
         frames = [np.eye(self._size)[:n], *(L for _, L in curved)]
-        slopes, left = self._slopes_over(Z[:, :n], u, drift)
+        slopes, left = self._slopes_over(Z[:, :n], given, drift)
         free = [N, Interval(-left, left)] + ([] if bent is None else [bent])
         made, count = affine_matrices(
             [*blocks, *blocks, *free], [True] * (2 * len(blocks)) + [False] * len(free)
@@ -101,8 +118,9 @@ class Step:
         )
         flow, apart, *more = made[2 * len(blocks) :]
         A = _among(slopes, 0, every) + apart
-        step = self._factor(period, A, more[0] if more else None, s.hi) @ flow
-        return Sample(period, step, mean, weighted, gradient, u)
+        factor = self._factor(period, A, more[0] if more else None, s.hi)
+        reached = _side_by_side(Z[:, :n] + drift, moved)
+        return Sample(period, factor @ flow, mean, weighted, gradient, u, factor, reached)
 
     def _slopes_over(self, X: Interval, u: Interval, drift: Interval) -> tuple[Affine, Vector]:
         """Means of ∂f/∂x, (B, n, n)."""
@@ -216,7 +234,7 @@ class Step:
         return sp.hessian(self.potential.energy, self._symbols[: self._n])
 
     @cached_property
-    def _flow(self) -> sp.Matrix:
+    def flow(self) -> sp.Matrix:
         """N = M − 𝒢𝒟𝒢ᵀ, exactly."""
         design = self.potential.design
         rows = [[sp.Rational(*float(v).as_integer_ratio()) for v in row] for row in design.damping]
