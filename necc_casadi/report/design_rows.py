@@ -99,7 +99,8 @@ def sampled_text(sampling: SampledLoop, certificate: Certificate | None) -> str:
     units = certificate.units
     return (
         f"proved to converge from a region for all periods up to {region.period * units.time:.4g} "
-        f"s{_disturbed(certificate)}; {local}"
+        f"s{', with u clipped to its limits' if region.clipped else ''}{_disturbed(certificate)}; "
+        f"{local}"
     )
 
 

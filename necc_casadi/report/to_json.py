@@ -180,6 +180,7 @@ def _sampled_region(made: Design, certificate: Certificate | None) -> dict[str, 
             for row, a in pairs
         ],
         "box": {name: [lo * unit, hi * unit] for name, (lo, hi), unit in sides},
+        "clipped": region.clipped,
     }
 
 

@@ -126,7 +126,7 @@ def test_what_is_proved_of_another_method_is_not_said_of_this_code():
     d = design(pendulum_loop(), form)
     sides = ((-1.0, 1.0),) * 3
     region = SampledRegion(
-        0.5, "heun", ((0.0,) * 3,) * 3, 1.0, 1.0, sides, sides, packed_tree(bytes([KEPT]))
+        0.5, "heun", ((0.0,) * 3,) * 3, 1.0, 1.0, sides, sides, False, packed_tree(bytes([KEPT]))
     )
     claim = Claim("sampled", True, "every solution converges", region.data)
     near = Claim("disturbed", True, "it stays near by", {"precision": "double"})

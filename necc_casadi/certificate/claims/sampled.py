@@ -42,6 +42,7 @@ class SampledRegion:
     height: float  # w₀ − V(z̄) is at least this
     box: tuple[Side, ...]  # W > w₀ on its sides
     core: tuple[Side, ...]  # around z̄, with ∇²V ≻ 0
+    clipped: bool  # whether limits of u may clip it somewhere in {W ≤ w₀}
     tree: str  # see `packed_tree`
 
     @cached_property

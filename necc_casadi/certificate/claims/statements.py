@@ -440,7 +440,10 @@ def sampled(
         f"{name} in [{_up(lo * unit, 6)}, {_down(hi * unit, 6)}]"
         for name, (lo, hi), unit in list(zip(states, region.box, units.state, strict=True))[:_TOLD]
     )
-    inputs = "u is not clipped" if not limits else f"u stays within {ranges(limits)} there"
+    inputs = f"u stays within {ranges(limits)} there" if limits else "u is not clipped"
+    if region.clipped:
+        inputs = f"u is clipped to {ranges(limits)}, as the code does"
+    too = ", u clipped too," if region.clipped else ""
     more = ", …" if len(states) > _TOLD else ""
     return (
         f"for every sequence of sampling periods in (0, {period}] s whose sum is infinite, every "
@@ -450,7 +453,7 @@ def sampled(
         "½∇VᵀQ∇V with the Q of certificate.json; exact arithmetic, x measured without error, no "
         f"delay; at each sample {_ADVANCED[region.integrator]} advances ξ over the time since the "
         f"last one, with the x of that one, then u is computed and held; {inputs}. In continuous "
-        "time every solution from Ω_T converges to z̄ as well, exponentially"
+        f"time{too} every solution from Ω_T converges to z̄ as well, exponentially"
     )
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import sympy as sp
 from flint import arb_mat
-from helpers.sampled import sampled_step
+from helpers.sampled import limited_around, sampled_step, with_limits
 
 from necc_casadi.certificate.checker.arithmetic.balls import ball
 from necc_casadi.certificate.checker.check import check
@@ -18,6 +18,8 @@ from necc_casadi.certificate.checker.sampled.sampled import SampledProof
 from necc_casadi.certificate.claims import statements
 from necc_casadi.certificate.claims.certificate import Certificate
 from necc_casadi.certificate.claims.sampled import BEYOND, KEPT, SampledRegion, packed_tree
+from necc_casadi.certificate.prover.certify import certify, with_sampled_loop
+from necc_casadi.certificate.prover.sampled import prove
 from necc_casadi.errors import OutputError
 
 T = 0.01
@@ -26,6 +28,53 @@ T = 0.01
 @pytest.fixture(scope="module")
 def folder(sampled_folder):
     return sampled_folder
+
+
+@pytest.fixture(scope="module")
+def clipped(default_design, tmp_path_factory):
+    """Where u is clipped, by limits that leave no more than the damping of a small region."""
+    made = tmp_path_factory.mktemp("clipped")
+    limited = with_limits(default_design, [(-0.9, 0.9)])
+    limited.save(made / "design.json")
+    part = replace(certify(limited, region=False), level_above_minimum=0.02)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(prove, "_TRIALS", 0)
+        found = with_sampled_loop(limited, part, T, "heun")
+    found = replace(found, level_above_minimum=None)
+    (made / "certificate.json").write_text(found.to_json(), encoding="utf-8")
+    return made
+
+
+@pytest.mark.slow
+def test_clipped_inputs_are_proved_again(clipped):
+    assert region_of(clipped).clipped
+    assert of(clipped).holds
+    assert "u is clipped to [-0.9, 0.9]" in of(clipped).statement
+
+
+@pytest.mark.slow
+def test_inputs_that_are_clipped_are_not_within_their_limits(clipped, tmp_path):
+    verdict = forged(clipped, tmp_path, clipped=False)
+    assert verdict.statement.endswith("not proved: u is clipped where it is said to be alone")
+
+
+def test_inputs_without_limits_are_not_clipped(folder, tmp_path):
+    assert not forged(folder, tmp_path, clipped=True).holds
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("limits", [(-0.75, 0.75), (-0.1, 0.1)])
+def test_tighter_limits_are_not_proved(clipped, tmp_path, limits):
+    """The same claim of a design with other limits; u holds with 0.7 at z̄."""
+    copy = tmp_path / "tight"
+    copy.mkdir()
+    data = json.loads((clipped / "design.json").read_text("utf-8"))
+    data["model"]["u_limits"] = [limits]
+    (copy / "design.json").write_text(json.dumps(data), encoding="utf-8")
+    (copy / "certificate.json").write_bytes((clipped / "certificate.json").read_bytes())
+    region, (_, stored, design) = region_of(clipped), read_folder(copy)
+    proofs = dict(SampledProof(Evidence(StoredDesign(design), stored), region).obligations())
+    assert not proofs["W falls at every step, on every box"]()
 
 
 def of(folder, name="sampled"):
@@ -41,7 +90,9 @@ def forged(folder, tmp_path, **changes):
     claim["data"] |= changes
     region = SampledRegion.read(claim["data"])
     states = ("q", "p", "xi1")
-    claim["statement"] = statements.sampled(region, states, certificate.units, ())
+    stored = json.loads((folder / "design.json").read_text("utf-8"))
+    limits = stored["model"]["u_limits"] or ()
+    claim["statement"] = statements.sampled(region, states, certificate.units, limits)
     (tmp_path / "certificate.json").write_text(json.dumps(data), encoding="utf-8")
     (tmp_path / "design.json").write_bytes((folder / "design.json").read_bytes())
     return of(tmp_path)
@@ -125,20 +176,32 @@ def test_a_jump_of_V_that_no_derivative_shows_is_seen(folder, inside):
 
 @pytest.mark.parametrize("method", ["euler", "heun"])
 @pytest.mark.parametrize("width", [0.0, 0.2])
-def test_the_form_says_what_a_step_does_to_w(folder, default_design, method, width):
+@pytest.mark.parametrize("clipped", [False, True])
+def test_the_form_says_what_a_step_does_to_w(folder, default_design, method, width, clipped):
     """W(z⁺) − W(z) = s ∇VᵀΠ∇V, by simulation of plant and controller."""
     _, stored, data = read_folder(folder)
+    design, rng = default_design.natural, np.random.default_rng(3)
+    around = design.z_bar + rng.uniform(-0.5, 0.5, (8, 3))
+    if clipped:
+        design = limited_around(design, around, 0.15)
+        pairs = np.array(design.loop.plant.u_limits) * default_design.units.input[0]
+        data["model"]["u_limits"] = pairs.tolist()
     proof = SampledProof(
         Evidence(StoredDesign(data), stored), replace(region_of(folder), integrator=method)
     )
-    design, rng = default_design.natural, np.random.default_rng(3)
-    for _ in range(8):
-        z, s = design.z_bar + rng.uniform(-0.5, 0.5, 3), rng.uniform(0.02, 0.1)
+    for z in around:
+        s = rng.uniform(0.02, 0.1)
         low = z - rng.uniform(0, 1, 3) * width
         period = (s, s) if width == 0.0 else (s - 0.01, s + 0.01)
         box = tuple(zip(low, low + width, strict=True))
         gradient, _ = proof.gradient_and_hessian(box)
-        form = proof.step.form(box, gradient, proof.step.inputs(box, gradient), period, proof.Q)
+        held = (proof.step.inputs(box, gradient), [])
+        if clipped:
+            held = proof.step.held(box, gradient)
+            if held is None:
+                assert width > 0
+                continue
+        form = proof.step.form(box, gradient, held[0], period, proof.Q, held[1])
         after = sampled_step(design, z[None], np.array([s]), method)[0]
         slopes = design.lyapunov.gradient(np.array([z, after]))
         values = design.lyapunov.V(np.array([z, after]))

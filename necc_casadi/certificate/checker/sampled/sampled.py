@@ -66,6 +66,7 @@ class SampledProof:
             ("the height above V(z̄)", self._is_above),
             ("W is above its level on the sides of the box", self._is_closed),
             ("V has no other critical point in the region", self._has_one_minimum),
+            ("u is clipped where it is said to be alone", self._is_never_clipped),
             ("W falls at every step, on every box", self.on_every_box),
         ]
 
@@ -204,12 +205,31 @@ class SampledProof:
 
     def _kept(self, box: Box, period: tuple[float, float]) -> bool:
         gradient, _ = self.gradient_and_hessian(box)
-        u = self.step.inputs(box, gradient)
-        limits = self.model.u_limits or ()
-        if not all(bool(v >= lo) and bool(v <= hi) for v, (lo, hi) in zip(u, limits, strict=False)):
+        if not self.model.u_limits:
+            u = self.step.inputs(box, gradient)
+            form = self.step.form(box, gradient, u, period, self.Q)
+            return form is not None and falls(form)
+        held = self.step.held(box, gradient)
+        if held is None:
             return False
-        form = self.step.form(box, gradient, u, period, self.Q)
+        form = self.step.form(box, gradient, held[0], period, self.Q, held[1])
         return form is not None and falls(form)
+
+    def _is_never_clipped(self) -> bool:
+        """Unless it is said to be, u is within its limits where W ≤ w₀."""
+        limits = self.model.u_limits or ()
+        if self.region.clipped or not limits:
+            return bool(limits) or not self.region.clipped
+
+        def settled(box: Box, W: arb, slope: list[arb]) -> bool:
+            if bool(self.region.level < W):
+                return True
+            u = self.step.inputs(box, self.gradient_and_hessian(box)[0])
+            return all(
+                bool(v >= lo) and bool(v <= hi) for v, (lo, hi) in zip(u, limits, strict=True)
+            )
+
+        return self._nowhere(self.region.box, settled, _HALVINGS)
 
 
 def _middle(box: Box) -> Box:

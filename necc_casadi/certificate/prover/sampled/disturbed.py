@@ -9,7 +9,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from necc_casadi.arrays import Truth, Vector
+from necc_casadi.arrays import Vector
 from necc_casadi.certificate.claims.disturbed import Core, Disturbances, DisturbedRegion
 from necc_casadi.certificate.claims.regions import Side, numbers, rows
 from necc_casadi.certificate.claims.sampled import SampledRegion
@@ -17,7 +17,7 @@ from necc_casadi.certificate.claims.statements import NotDisturbed
 from necc_casadi.certificate.prover.arithmetic.intervals import Interval, matmul, point
 from necc_casadi.certificate.prover.arithmetic.potential import Potential
 from necc_casadi.certificate.prover.arithmetic.tables import TabledPotential
-from necc_casadi.certificate.prover.sampled.cover import cover, within
+from necc_casadi.certificate.prover.sampled.cover import Shown, cover, within
 from necc_casadi.certificate.prover.sampled.disturbance import Computed, Disturbed, Falls
 from necc_casadi.certificate.prover.sampled.metric import Guide
 from necc_casadi.certificate.prover.sampled.rounding import Rounding, programs, unit
@@ -119,12 +119,12 @@ class _Proof:
 
         wide = replace(loop, step=replace(loop.step, potential=TabledPotential(design.natural)))
 
-        def proof(Z: Interval, s: Interval) -> tuple[Truth, Truth]:
+        def proof(Z: Interval, s: Interval) -> Shown:
             inner = ((around.lo <= Z.lo) & (Z.hi <= around.hi)).all(-1)
             found = wide.over(Z, s, rate, computed)
             steep = _length(found.slopes) > found.least * (1 + _EASED)
             kept = found.proved & within(found.inputs, limits)
-            return inner | (kept & steep), kept & ~steep
+            return Shown(inner | (kept & steep), kept & ~steep)
 
         around, last = cores[0].box, cores[-1]
         least = self._bottom + max(cores[0].above, _LEAST * region.height)
