@@ -105,6 +105,8 @@ class Source:
     @property
     def disturbed_claim(self) -> str | None:
         """The same under rounding of the type of this code, noise and delay."""
+        if self.sampled_claim is None:
+            return None
         same = (c for c in self._held if c.name == "disturbed" and c.data["precision"] == self.real)
         return next((claim.statement for claim in same), None)
 

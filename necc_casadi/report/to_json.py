@@ -149,7 +149,8 @@ def _integral(design: Design, certificate: Certificate | None) -> dict[str, Any]
         return None
     claims = () if certificate is None else certificate.claims
     claim = next((c for c in claims if c.name == "integral" and c.holds), None)
-    found: dict[str, Any] = {"level": None, "box": None}
+    near = any(c.name == "local_integral" and c.holds for c in claims)
+    found: dict[str, Any] = {"level": None, "box": None, "local": near}
     if claim is not None:
         n, k, units = design.loop.plant.n, design.loop.plant.n // 2, design.units
         kept = [*range(k), *range(n, design.loop.n)]

@@ -126,14 +126,16 @@ def test_what_is_proved_of_another_method_is_not_said_of_this_code():
     d = design(pendulum_loop(), form)
     sides = ((-1.0, 1.0),) * 3
     region = SampledRegion(
-        0.5, "heun", ((0.0,) * 3,) * 3, 1.0, 1.0, sides, sides, packed_tree(bytes([KEPT]))
+        0.5, "heun", ((0.0,) * 3,) * 3, 1.0, 1.0, sides, sides, False, packed_tree(bytes([KEPT]))
     )
     claim = Claim("sampled", True, "every solution converges", region.data)
-    certificate = replace(claiming(d, ["z̄ is stable"]), claims=(claim,))
+    near = Claim("disturbed", True, "it stays near by", {"precision": "double"})
+    certificate = replace(claiming(d, ["z̄ is stable"]), claims=(claim, near))
     for integrator in get_args(Integrator):
         source = Source(d, sample_time=0.01, integrator=integrator, certificate=certificate)
-        said = "Proved of the sampled loop" in header(source)
-        assert said == (integrator == "heun"), integrator
+        for words in ("Proved of the sampled loop", near.statement):
+            assert (words in header(source)) == (integrator == "heun"), integrator
+        assert (source.disturbed_claim is None) == (integrator != "heun")
         assert all(c != claim.statement for c in source.claims)
 
 
