@@ -142,7 +142,7 @@ def _structure(
         return NoStructure(_FAMILY, "the target is no equilibrium", True)
     if None in still:
         return NoStructure(_FAMILY, "the target is not proved to be an equilibrium", False)
-    conserved = not nothing_is_conserved(question.slopes)
+    conserved = not nothing_is_conserved(question.slopes, x_star)
     if uncontrollable_growth(A, question.G, conserved):
         reason = "no structure: a mode that no input reaches does not decay at the target"
         return NoStructure(_FAMILY, reason, True)

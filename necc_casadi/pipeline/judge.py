@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import sympy as sp
 
+from necc_casadi.casimirs.outputs import integrated_outputs
 from necc_casadi.files import check_writable
 from necc_casadi.methods.find import Found, find_method
 from necc_casadi.methods.method import Method
@@ -67,7 +68,8 @@ def judge(request: Request, say: Say) -> Task:
     if request.structure is not None:
         model = with_structure(model, request.structure, x_star)
     method = read_method(request, options)
-    most = 1 if request.check else _STRUCTURES
+    kept = request.integrator == "casimir"
+    most = 1 if request.check or kept else _STRUCTURES
     found = find_method(model, x_star, method, say, most, options.cost)
     if options.learn_casimir and found.learnable is not None:
         found = replace(found, chosen=found.learnable)
@@ -76,6 +78,8 @@ def judge(request: Request, say: Say) -> Task:
 
         held = found.chosen
         refuse_integral(held.loop, held.casimirs.functions, options.phi == "sum")
+    if kept and found.chosen is not None:
+        integrated_outputs(found.chosen.loop, found.chosen.casimirs.functions)
     if found.chosen is not None and not is_plant:
         notes += check_model_at(found.chosen.loop, x_star)
     if found.published is not None:

@@ -12,6 +12,7 @@ from necc_casadi.model.lagrangian import Plants
 from necc_casadi.model.model_file import Model
 from necc_casadi.model.ranges import Range
 from necc_casadi.pipeline.clock import Clock
+from necc_casadi.pipeline.disturbances import read_disturbances
 from necc_casadi.pipeline.families import family_of, refused_by_all, with_family
 from necc_casadi.pipeline.judge import Task
 from necc_casadi.pipeline.request import Request
@@ -110,7 +111,8 @@ def _with_sampled_loop(
     if request.sample_time is None:
         return certificate
     with clock.stage("sampled", "proving the sampled loop"):
-        return with_sampled_loop(made, certificate, request.sample_time, request.integrator)
+        asked = read_disturbances(request, made.loop.plant)
+        return with_sampled_loop(made, certificate, request.sample_time, request.integrator, asked)
 
 
 def _with_setpoints(

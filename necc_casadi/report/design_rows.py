@@ -99,7 +99,24 @@ def sampled_text(sampling: SampledLoop, certificate: Certificate | None) -> str:
     units = certificate.units
     return (
         f"proved to converge from a region for all periods up to {region.period * units.time:.4g} "
-        f"s; {local}"
+        f"s{', with u clipped to its limits' if region.clipped else ''}{_disturbed(certificate)}; "
+        f"{local}"
+    )
+
+
+def _disturbed(certificate: Certificate) -> str:
+    """How near it stays under what it was asked to bear."""
+    found, units = certificate.disturbed, certificate.units
+    if found is None:
+        return ""
+    borne = [f"rounding in {found.precision}"]
+    borne += ["noise"] if any(found.noise) else []
+    borne += ["errors of u"] if any(found.input_error) else []
+    borne += ["a delay of one sample"] if found.delay is not None else []
+    radii = ", ".join(f"{r * unit:.2g}" for r, unit in zip(found.radius, units.state, strict=False))
+    return (
+        f", and with {', '.join(borne)} and periods from {found.shortest * units.time:.4g} to "
+        f"{found.period * units.time:.4g} s to come within ({radii}) of z̄ and stay there"
     )
 
 

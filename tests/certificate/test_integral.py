@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import sympy as sp
 from helpers.certificates import claim, verdicts, written
-from helpers.velocity import arm, pendulum
+from helpers.velocity import arm, arm_with_payload, pendulum
 
 from necc_casadi.certificate.claims import statements
 from necc_casadi.certificate.claims.certificate import Certificate
@@ -320,6 +320,59 @@ def test_ranges_and_plants_that_were_not_proved_are_found_out(ranged, tmp_path, 
         (tmp_path / "plant.json").unlink()
         with pytest.raises(OutputError, match=r"plant\.json is missing"):
             verdicts(tmp_path)
+
+
+def test_what_is_affine_in_a_parameter_is_looked_at_at_its_ends():
+    """E between those at the ends, and S not below the lower of theirs, for θ anywhere between."""
+    many = plants(m=("9/10", "11/10"), g=("4/5", "6/5"), d=("0", "3/10"))
+    made = with_integral(pendulum(), plants=many)
+    terms = IntegralTerms(made, lagrangian(made.loop, made.units, many))
+    corners, rng = terms.corners, np.random.default_rng(0)
+    assert corners.shape == (8, 3)
+    assert corners.rad.max() < 1e-12
+    for _ in range(20):
+        at, theta = rng.uniform(-1, 1, 2), rng.uniform(terms.theta.lo, terms.theta.hi)
+        rows = np.array([[*at, *end] for end in (*corners.mid, theta)])
+        *E, between = terms.energy(point(rows)).mid
+        assert min(E) - 1e-12 <= between <= max(E) + 1e-12
+        least = np.linalg.eigvalsh(terms._form(point(rows)).mid)[:, 0]
+        assert least[-1] >= least[:-1].min() - 1e-12
+
+
+def test_a_parameter_that_is_not_affine_keeps_its_range():
+    """A pitch of the potential is an axis of the cells, beside a mass at its ends."""
+    own, pitch = plants(m=("9/10", "11/10")), sp.Symbol("b", real=True)
+    q = pendulum().loop.plant.x[0]
+    formal = replace(
+        own.parametric,
+        H=own.parametric.H + sp.cos(pitch * q) / 10 - sp.Rational(1, 10),
+        values={**own.parametric.values, "b": sp.Integer(0)},
+    )
+    ranges = {**own.ranges, "b": (sp.Integer(0), sp.Rational(1, 2))}
+    made = pendulum()
+    plant = lagrangian(made.loop, made.units, Plants(formal, ranges))
+    assert [str(s) for s in plant.affine] == ["m"]
+    with_it = with_integral(made, plants=Plants(formal, ranges))
+    corners = IntegralTerms(with_it, plant).corners
+    assert corners.shape == (2, 2)
+    assert (corners.rad > 0.1).tolist() == [[False, True]] * 2
+
+
+@pytest.mark.slow
+def test_no_offset_of_the_arm_for_any_payload(tmp_path):
+    """0 to 1 kg, anything up to 1 N m, from a box of more than a radian, proved again."""
+    made, many = arm_with_payload()
+    push = [(sp.Integer(-1), sp.Integer(1))] * 2
+    closed = with_integral(made, plants=many, disturbance=push)
+    held, proof = prove_integral(closed, many, push), certify(closed, region=False)
+    assert held.holds
+    assert min(held.data["half_widths"]) > 1
+    assert "mp in [0, 1]" in held.statement
+    found = replace(proof, claims=(*proof.claims, held))
+    closed.save(tmp_path / "design.json")
+    (tmp_path / "plant.json").write_text(plant_text(closed, many.parametric), encoding="utf-8")
+    (tmp_path / "certificate.json").write_text(found.to_json(), encoding="utf-8")
+    assert verdicts(tmp_path)["integral"] is True
 
 
 def test_a_gain_that_is_not_known_is_refused():

@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 import sympy as sp
@@ -25,6 +26,7 @@ from necc_casadi.certificate.checker.arithmetic.networks import Net
 from necc_casadi.certificate.checker.model import StoredDesign
 from necc_casadi.certificate.checker.plants import StoredPlants
 from necc_casadi.symbolic.expressions import parse
+from necc_casadi.symbolic.zero import is_zero
 
 __all__ = ["MovedPlant", "StoredRemainders", "casimir_slopes", "constants", "matrix_at"]
 
@@ -35,6 +37,10 @@ _DEPTH = 24
 
 #: Stretches of the way from rest to a point, along each of which slopes are enclosed.
 _STRETCHES = (4, 16)
+
+
+#: Parameters of which the ends are looked at in place of their ranges.
+_MOST_AT_ENDS = 4
 
 
 #: A number is its double within this share.
@@ -145,6 +151,12 @@ class StoredRemainders(ABC):
         grad = [sp.diff(self.U, s) for s in self.q]
         self.grad_U, self.hess_U = grad, [[sp.diff(g, s) for s in self.q] for g in grad]
         self.bent = [self.M.diff(s) for s in self.q]
+        entries = {sp.sympify(v) for v in (self.U, *self.M, *self.R)}
+        self.affine = [
+            s
+            for s in self.symbols
+            if all(is_zero(v.diff(s, 2)) is True for v in entries if v.has(s))
+        ][:_MOST_AT_ENDS]
         self.along_theta = [
             (sp.diff(self.U, s), [sp.diff(g, s) for g in grad]) for s in self.symbols
         ]
@@ -182,17 +194,21 @@ class StoredRemainders(ABC):
         ]
 
     def _hess_xi(self, xi: list[arb]) -> arb_mat:
-        return self._full(self.hc, xi) + self._springs_k(self._c(self.q_star, xi))
+        return self._springs_h(xi) + self._springs_k(self._c(self.q_star, xi))
 
-    def _full(self, net: Net, at: list[arb]) -> arb_mat:
-        hess, k = net(_box(at))[2], self.k
-        return arb_mat([[hess[min(i, j), max(i, j)] for j in range(k)] for i in range(k)])
+    def _springs_h(self, xi: list[arb]) -> arb_mat:
+        """∇²Hc."""
+        return self._full(self.hc.curvature_on_grid(_box(xi)))
 
     def _springs_k(self, c: list[arb]) -> arb_mat:
         """N_ξ ∇²K N_ξᵀ."""
         k = self.k
         N = arb_mat([[self.slopes[i, k + j] for j in range(k)] for i in range(k)])
-        return N.transpose() * self._full(self.kc, c) * N
+        return N.transpose() * self._full(self.kc.curvature_on_grid(_box(c))) * N
+
+    def _full(self, hess: dict[tuple[int, int], arb]) -> arb_mat:
+        k = self.k
+        return arb_mat([[hess[min(i, j), max(i, j)] for j in range(k)] for i in range(k)])
 
     def _rest(self) -> tuple[arb, list[arb]]:
         """Hc + K and its slopes in q at rest; those in ξ are 0 there."""
@@ -267,20 +283,43 @@ class StoredRemainders(ABC):
     def is_closed(self, box: Box) -> bool:
         """E > c on every side."""
         faces = (
-            (*box[:i], (end, end), *box[i + 1 :])
-            for i, side in enumerate(box[: 2 * self.k])
+            (*corner[:i], (end, end), *corner[i + 1 :])
+            for corner in self._at_ends(box)
+            for i, side in enumerate(corner[: 2 * self.k])
             for end in side
         )
         sizes = widths(box)
         return all(by_bisection(face, self._is_high, _DEPTH, sizes=sizes) for face in faces)
 
+    def _at_ends(self, box: Box) -> list[Box]:
+        """The box with θ at its ends, where M, U and R have it to the first power.
+
+        So have E and the matrices that are to be positive: what holds at all ends holds between.
+        """
+        first = 2 * self.k
+        sides = [
+            tuple((v, v) for v in side) if s in self.affine else (side,)
+            for s, side in zip(self.symbols, box[first:], strict=True)
+        ]
+        return [(*box[:first], *corner) for corner in product(*sides)]
+
     def falls_in(self, box: Box) -> bool:
-        """E > c, or what has to hold below it, on cells that cover the box."""
+        """E > c, or what has to hold below it, on cells that cover the box.
+
+        What has to hold depends little on ξ̃, which is not cut at first.
+        """
+
+        def falls(cell: Box) -> bool:
+            return any(self.is_positive(cell, n) for n in _STRETCHES)
 
         def settled(cell: Box) -> bool:
-            return self._is_high(cell) or any(self.is_positive(cell, n) for n in _STRETCHES)
+            return self._is_high(cell) or falls(cell)
 
-        return by_bisection(box, settled, _DEPTH, sizes=widths(box))
+        corners, sizes = self._at_ends(box), widths(box)
+        cut = [not self.k <= i < 2 * self.k for i in range(len(box))]
+        if all(by_bisection(b, falls, _DEPTH // 2, cut, sizes) for b in corners):
+            return True
+        return all(by_bisection(b, settled, _DEPTH, sizes=sizes) for b in corners)
 
     def has_mass(self, box: Box) -> bool:
         """M ≻ 0 on the whole box: where it is not, E > c says nothing of the whole energy."""
@@ -292,7 +331,10 @@ class StoredRemainders(ABC):
             return positive(self.inertia(here | self.known(cell)), 0.0)
 
         counts = [i < k or i >= 2 * k for i in range(len(box))]  # M does not depend on ξ
-        return by_bisection(box, positive_there, _DEPTH, counts, widths(box))
+        sizes = widths(box)
+        return all(
+            by_bisection(b, positive_there, _DEPTH, counts, sizes) for b in self._at_ends(box)
+        )
 
     def _is_high(self, box: Box) -> bool:
         return bool(self._energy(box) > self.level)
@@ -373,7 +415,7 @@ class StoredRemainders(ABC):
             xi = [v + d for v, d in zip(xi_bar, steps[k:], strict=True)]
             there = dict(zip(self.q, q, strict=True)) | self.known(box)
             a = arb_mat([[evaluate(v, there) for v in row] for row in self.hess_U])
-            found = a, self._full(self.hc, xi), self._springs_k(self._c(q, xi))
+            found = a, self._springs_h(xi), self._springs_k(self._c(q, xi))
             total = [old + new / stretches for old, new in zip(total, found, strict=True)]
         return total[0], total[1], total[2]
 

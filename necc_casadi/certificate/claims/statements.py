@@ -12,8 +12,10 @@ from collections.abc import Mapping, Sequence
 from decimal import ROUND_CEILING, ROUND_FLOOR, Decimal
 from typing import Literal, get_args
 
+from necc_casadi.certificate.claims.disturbed import DisturbedRegion
 from necc_casadi.certificate.claims.motions import Follows
 from necc_casadi.certificate.claims.regions import MOST_KEPT, Obstacle, ObstacleKind
+from necc_casadi.certificate.claims.rounding import LIBRARY
 from necc_casadi.certificate.claims.sampled import Method, SampledRegion
 from necc_casadi.certificate.claims.units import Units
 
@@ -31,6 +33,7 @@ __all__ = [
     "NOT_MEASURED",
     "NO_FAMILY",
     "NO_INTEGRAL",
+    "NO_LOCAL_INTEGRAL",
     "NO_MEMBERS",
     "NO_MOMENTA",
     "NO_NEIGHBOURHOOD",
@@ -42,16 +45,20 @@ __all__ = [
     "STRUCTURE",
     "TOO_MANY",
     "Missing",
+    "NotDisturbed",
     "NotEverywhere",
     "NotSampled",
     "attraction",
     "casimir",
     "clipping",
     "conserved",
+    "disturbed",
+    "disturbed_is_not_covered",
     "equilibrium",
     "input_limits",
     "integral",
     "limited_by",
+    "local_integral",
     "momenta",
     "no_clipping",
     "no_limits",
@@ -134,6 +141,12 @@ SETPOINTS_ARE_NOT_COVERED = (
 NO_SETPOINTS = "no box is proved that holds solutions at every set-point"
 
 
+NO_LOCAL_INTEGRAL = (
+    "nothing is proved of the integral action: the linearisation at rest is not proved to be "
+    "Hurwitz for every parameter"
+)
+
+
 NO_INTEGRAL = "no box around the target is proved in which the integral action makes W fall"
 
 
@@ -203,6 +216,16 @@ NotSampled = Literal[
     "only Euler's and Heun's methods are covered",
     "the structure of the controller depends on its states",
     "no region is proved for the sample time asked for",
+]
+
+
+#: What may be missing for a claim about it under rounding, noise and delay.
+NotDisturbed = Literal[
+    "the law that the C code computes is not of the kind that is covered",
+    "the law has an operation whose rounding is not known",
+    "with a delay of one sample no function is found that falls",
+    "near the minimum the disturbances are as large as what they are to leave",
+    "no region is proved from which solutions come near the minimum",
 ]
 
 
@@ -280,6 +303,29 @@ def integral(
         f"with integral action every solution that starts with W ≤ {_down(level, 6)} and {sides} "
         "about its place at rest stays there, and q → q* without offset, for every constant "
         f"disturbance{known}{enough}; what else is claimed of solutions is of the loop with ζ = 0"
+    )
+
+
+def local_integral(
+    limits: Sequence[float],
+    ranges: Mapping[str, Sequence[str]],
+    disturbance: Sequence[Sequence[str]] = (),
+) -> str:
+    """Of the limits of ζ and what is unknown, of a plant with fewer inputs than coordinates.
+
+    Without a range of disturbances: of all for which the limits of ζ are enough.
+    """
+    bounds = ", ".join(f"{_down(v, 6)}" for v in limits)
+    pushes = ", ".join(f"[{lo}, {hi}]" for lo, hi in disturbance)
+    known = "".join(f", {name} in [{lo}, {hi}]" for name, (lo, hi) in ranges.items())
+    enough = f" whose ζ* is within ±({bounds})"
+    if pushes:
+        known, enough = f" in {pushes}{known}", f", ζ* within ±({bounds})"
+    return (
+        "locally, with integral action: the loop rests at q* and is exponentially stable there, so "
+        "that q → q* without offset from near enough, for every constant "
+        f"disturbance{known}{enough}; no region is claimed of it, and what else is claimed of "
+        "solutions is of the loop with ζ = 0"
     )
 
 
@@ -368,8 +414,12 @@ def unproved(limits: Sequence[Sequence[float]]) -> Mapping[str, frozenset[str]]:
         "family": frozenset(NO_FAMILY.values()),
         "members": frozenset([NO_MEMBERS]),
         "everywhere": frozenset(map(not_everywhere, get_args(NotEverywhere))),
+        "local_integral": frozenset(
+            [INTEGRAL_IS_NOT_COVERED, INTEGRAL_IS_TOO_SMALL, NO_LOCAL_INTEGRAL]
+        ),
         "integral": frozenset([INTEGRAL_IS_NOT_COVERED, INTEGRAL_IS_TOO_SMALL, NO_INTEGRAL]),
         "sampled": frozenset(map(sampled_is_not_covered, get_args(NotSampled))),
+        "disturbed": frozenset(map(disturbed_is_not_covered, get_args(NotDisturbed))),
     }
 
 
@@ -424,7 +474,10 @@ def sampled(
         f"{name} in [{_up(lo * unit, 6)}, {_down(hi * unit, 6)}]"
         for name, (lo, hi), unit in list(zip(states, region.box, units.state, strict=True))[:_TOLD]
     )
-    inputs = "u is not clipped" if not limits else f"u stays within {ranges(limits)} there"
+    inputs = f"u stays within {ranges(limits)} there" if limits else "u is not clipped"
+    if region.clipped:
+        inputs = f"u is clipped to {ranges(limits)}, as the code does"
+    too = ", u clipped too," if region.clipped else ""
     more = ", …" if len(states) > _TOLD else ""
     return (
         f"for every sequence of sampling periods in (0, {period}] s whose sum is infinite, every "
@@ -434,7 +487,55 @@ def sampled(
         "½∇VᵀQ∇V with the Q of certificate.json; exact arithmetic, x measured without error, no "
         f"delay; at each sample {_ADVANCED[region.integrator]} advances ξ over the time since the "
         f"last one, with the x of that one, then u is computed and held; {inputs}. In continuous "
-        "time every solution from Ω_T converges to z̄ as well, exponentially"
+        f"time{too} every solution from Ω_T converges to z̄ as well, exponentially"
+    )
+
+
+def disturbed(
+    found: DisturbedRegion, states: Sequence[str], inputs: Sequence[str], units: Units,
+    input_units: Sequence[float],
+) -> str:  # fmt: skip
+    """Of where the sampled loop comes to and stays, under what is assumed of its disturbances."""
+    periods = f"[{_up(found.shortest * units.time, 6)}, {_down(found.period * units.time, 6)}] s"
+    noise = _within(states, found.noise, units.state)
+    measured = (
+        f"measured {noise}, then rounded" if noise else "x measured without error but rounded"
+    )
+    applied = _within(inputs, found.input_error, input_units) or "u applied as it is computed"
+    start = f"{{W − V(z̄) < {_down(found.height * units.energy, 6)}}}"
+    limit = _up(found.above * units.energy, 3)
+    late = ""
+    if found.delay is not None:
+        start = start.replace("W", "S", 1)
+        late = (
+            ", and one sample after it was computed, where S = W + "
+            f"{_up(found.delay * found.period, 3)}|e|² in natural units, e what is applied over "
+            "the first sample less the u of the law"
+        )
+    pairs = zip(states, found.radius, units.state, strict=False)
+    radii = ", ".join(f"{name} ± {_up(r * unit, 3)}" for name, r, unit in pairs)
+    return (
+        f"for every sequence of sampling periods in {periods}, in the C code's arithmetic in "
+        f"{found.precision}, {measured}, {applied}{late}: every solution from {start} in Ω_T of "
+        "the sampled loop is in Ω_T at every sample, after finitely many comes into {W − V(z̄) < "
+        f"{limit}}} and stays there, within {radii} of z̄. Assumed: IEEE arithmetic, rounded to "
+        "nearest, without overflow; dt is the period rounded to its type; functions of the C "
+        f"library err by at most {LIBRARY:g} units in the last place, the code's own activations "
+        "by no more than was measured of them (docs/certificate-format.md)"
+    )
+
+
+def disturbed_is_not_covered(missing: NotDisturbed) -> str:
+    """Where nothing is proved of the sampled loop under disturbances."""
+    return f"nothing is claimed of rounding, noise and delay: {missing}"
+
+
+def _within(names: Sequence[str], sizes: Sequence[float], units: Sequence[float]) -> str:
+    """Errors other than 0, by name."""
+    return ", ".join(
+        f"{name} within ±{_down(size * unit, 6)}"
+        for name, size, unit in zip(names, sizes, units, strict=False)
+        if size > 0
     )
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import reduce
 from itertools import product
 
 import numpy as np
@@ -45,8 +46,8 @@ _CLAIMED = 0.98
 _BATCH = 1024
 
 
-#: Of E_W on boxes, and the boxes.
-_Test = Callable[[Interval, Interval], Truth]
+#: Of boxes.
+_Test = Callable[[Interval], Truth]
 
 
 #: Parameters of which all ends are tried together.
@@ -74,6 +75,11 @@ class Terms(ABC):
         """Whether what has to hold below the level does, (B,)."""
 
     @property
+    def corners(self) -> Interval:
+        """What of θ is enough, (count, parameters): its ends where all is affine in it."""
+        return self.theta[None]
+
+    @property
     def rests(self) -> tuple[Vector, Vector]:
         """Least and greatest coordinates at which it may be at rest, (m,) each."""
         return self.q_star, self.q_star
@@ -93,15 +99,16 @@ class BoxProof:
 
 def searched(terms: Terms) -> BoxProof | None:
     """The first box that is proved, below the level of points and then lower."""
-    boxes = _promising(terms)[:_TRIED]
-    for share, (_, half, level) in product(_SHARES, boxes):
-        if _is_proved(terms, half, share * level):
+    boxes = [(half, level, _falls_in(terms, half)) for half, level in _promising(terms)[:_TRIED]]
+    for share, (half, level, falls) in product(_SHARES, boxes):
+        closed = _is_closed(terms, half, share * level)
+        if closed and (falls or _falls_below(terms, half, share * level)):
             return BoxProof(half, _CLAIMED * share * level)
     return None
 
 
-def _promising(terms: Terms) -> list[tuple[float, Vector, float]]:
-    """Boxes in which S ≻ 0 is seen where E_W is below its least on the sides, best first."""
+def _promising(terms: Terms) -> list[tuple[Vector, float]]:
+    """Boxes in which S ≻ 0 is seen where E_W is below its least on the sides; this; best first."""
     d, rng = 2 * terms.m, np.random.default_rng(0)
     inside = np.vstack([np.zeros(d), rng.uniform(-1, 1, (_INSIDE, d))])
     sides = rng.uniform(-1, 1, (_SIDE * d, d))
@@ -128,7 +135,7 @@ def _promising(terms: Terms) -> list[tuple[float, Vector, float]]:
         below = terms.energy(point(Z)).lo <= level
         if np.all(terms.falls(point(Z[below]))):
             found.append((level * float(below.mean() * half.prod()), half, level))
-    return sorted(found, key=lambda entry: -entry[0])
+    return [(half, level) for _, half, level in sorted(found, key=lambda entry: -entry[0])]
 
 
 def _with_parameters(terms: Terms, points: Vector) -> Vector:
@@ -158,9 +165,9 @@ def _is_within(terms: Terms, half: Vector) -> bool:
     return True
 
 
-def _is_proved(terms: Terms, half: Vector, level: float) -> bool:
-    d, box = len(half), Interval(-half, half)
-    size = np.concatenate([half, np.maximum(terms.theta.rad, np.finfo(float).tiny)])
+def _is_closed(terms: Terms, half: Vector, level: float) -> bool:
+    """E_W > c on every side."""
+    d, size = len(half), _sizes(terms, half)
     parts = max(2, round(_CELLS ** (1 / d)))
     for axis, side in product(range(d), (-1.0, 1.0)):
         lo, hi = -half.copy(), half.copy()
@@ -169,22 +176,45 @@ def _is_proved(terms: Terms, half: Vector, level: float) -> bool:
         cut = subdivide(Interval(lo[kept], hi[kept]), parts)
         face = [cut[:, kept.index(i)] if i != axis else point(np.full(cut.shape[0], lo[axis]))
                 for i in range(d)]  # fmt: skip
-        if not _holds_on(terms, _over_all(terms, stack(face)), size, lambda E, _: E.lo > level):
+        if not _holds_on(_over_all(terms, stack(face)), size, lambda Z: terms.energy(Z).lo > level):
             return False
-    cells = _over_all(terms, subdivide(box, parts))
-    return _holds_on(terms, cells, size, lambda E, Z: _settled(terms, E, Z, level))
+    return True
+
+
+def _falls_in(terms: Terms, half: Vector) -> bool:
+    """What has to hold below a level does in all of the box, whatever the level.
+
+    It depends little on ξ̃, which is not cut. Bounds of momenta depend on the level.
+    """
+    m, size = terms.m, _sizes(terms, half)
+    size[m : 2 * m] = np.inf
+    cells = subdivide(Interval(-half[:m], half[:m]), max(2, round(_CELLS ** (1 / m))))
+    reach = np.broadcast_to(half[m:], (cells.shape[0], m))
+    cells = _over_all(terms, beside(cells, Interval(-reach, reach)))
+    bounded = bool(np.isfinite(terms.ceiling(cells[:1])).any())
+    return not bounded and _holds_on(cells, size, terms.falls, _MOST_CELLS // 4)
+
+
+def _falls_below(terms: Terms, half: Vector, level: float) -> bool:
+    """On each cell M ≻ 0, and E_W > c, or S ≻ 0 and every momentum within its bounds."""
+    parts = max(2, round(_CELLS ** (1 / len(half))))
+    cells = _over_all(terms, subdivide(Interval(-half, half), parts))
+    return _holds_on(cells, _sizes(terms, half), lambda Z: _settled(terms, Z, level))
+
+
+def _sizes(terms: Terms, half: Vector) -> Vector:
+    return np.concatenate([half, np.maximum(terms.theta.rad, np.finfo(float).tiny)])
 
 
 def _over_all(terms: Terms, Z: Interval) -> Interval:
-    """Boxes of (e, ξ̃) with all θ."""
-    shape = (Z.shape[0], len(terms.theta.lo))
-    theta = Interval(np.broadcast_to(terms.theta.lo, shape), np.broadcast_to(terms.theta.hi, shape))
-    return beside(Z, theta)
+    """Boxes of (e, ξ̃) with all θ that have to be looked at."""
+    theta, boxes = terms.corners, Z.shape[0]
+    lo, hi = (np.repeat(side, boxes, axis=0) for side in (theta.lo, theta.hi))
+    return beside(reduce(concatenate, [Z] * theta.shape[0]), Interval(lo, hi))
 
 
-def _settled(terms: Terms, E: Interval, Z: Interval, level: float) -> Truth:
-    """M ≻ 0, and E_W > c, or S ≻ 0 and every momentum within its bounds."""
-    high: Truth = np.asarray((E.lo > level) & terms.has_mass(Z))
+def _settled(terms: Terms, Z: Interval, level: float) -> Truth:
+    high: Truth = np.asarray((terms.energy(Z).lo > level) & terms.has_mass(Z))
     result = high.copy()
     if not high.all():
         low = Z[~high]
@@ -192,23 +222,23 @@ def _settled(terms: Terms, E: Interval, Z: Interval, level: float) -> Truth:
     return result
 
 
-def _holds_on(terms: Terms, Z: Interval, half: Vector, test: _Test) -> bool:
+def _holds_on(Z: Interval, size: Vector, test: _Test, most: int = _MOST_CELLS) -> bool:
     """Whether a test holds on every cell; cells are halved where it does not, but at the middle."""
     for _ in range(_ROUNDS):
-        if Z.shape[0] > _MOST_CELLS:
+        if Z.shape[0] > most:
             return False
-        left = Z[~_tested(terms, Z, test)]
+        left = Z[~_tested(Z, test)]
         if left.shape[0] == 0:
             return True
-        if not _tested(terms, point(left.mid), test).all():
+        if not _tested(point(left.mid), test).all():
             return False
-        Z = halved(left, half)
+        Z = halved(left, size)
     return False
 
 
-def _tested(terms: Terms, Z: Interval, test: _Test) -> Truth:
+def _tested(Z: Interval, test: _Test) -> Truth:
     parts = np.array_split(np.arange(Z.shape[0]), -(-Z.shape[0] // _BATCH))
-    return np.concatenate([test(terms.energy(Z[rows]), Z[rows]) for rows in parts])
+    return np.concatenate([test(Z[rows]) for rows in parts])
 
 
 def halved(Z: Interval, half: Vector) -> Interval:

@@ -228,9 +228,9 @@ class Whole:
 
     def _cells(self, matrix: sp.Matrix) -> Interval | None:
         """Cells (B, used) of what a matrix depends on, ϑ and a period of each state."""
-        entries = self._seen(list(matrix))
+        entries, used = self._by_place(matrix)
         sides = []
-        for s in self._used(entries):
+        for s in used:
             if s in self.family.moved.symbols:
                 sides.append(self.minima.ranges[self.family.moved.symbols.index(s)])
             elif is_periodic([e for e in set(entries) if e.has(s)], s):
@@ -240,12 +240,21 @@ class Whole:
         whole = Interval(np.array([v.lo for v in sides]), np.array([v.hi for v in sides]))
         return subdivide(whole, max(2, int(_CELLS ** (1 / max(1, len(sides))))))
 
-    def _used(self, entries: Sequence[sp.Expr]) -> list[sp.Symbol]:
-        return sorted(set().union(*(e.free_symbols for e in entries)), key=str)
+    def _by_place(self, matrix: sp.Matrix) -> tuple[sp.ImmutableMatrix, list[sp.Symbol]]:
+        """A matrix by where the plant is, and the symbols that are left in it."""
+        key = sp.ImmutableMatrix(matrix)
+        if key not in self._placed:
+            entries = self._seen(list(matrix))
+            used = sorted(set().union(*(e.free_symbols for e in entries)), key=str)
+            self._placed[key] = sp.ImmutableMatrix(*matrix.shape, entries), used
+        return self._placed[key]
+
+    @cached_property
+    def _placed(self) -> dict[sp.ImmutableMatrix, tuple[sp.ImmutableMatrix, list[sp.Symbol]]]:
+        return {}
 
     def _enclosed(self, matrix: sp.Matrix, cells: Interval) -> Interval:
-        entries = self._seen(list(matrix))
-        return matrix_enclosure(sp.Matrix(*matrix.shape, entries), self._used(entries), cells)
+        return matrix_enclosure(*self._by_place(matrix), cells)
 
     def _holds(self, matrix: sp.Matrix, test: Callable[[Interval], Truth]) -> bool:
         """Whether a test of a matrix holds for all states and ϑ; cells that fail are halved."""

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property, reduce
-from itertools import pairwise
+from itertools import pairwise, product
 
 import numpy as np
 import sympy as sp
@@ -47,6 +47,10 @@ _ALONG = 8
 _RADII, _MU = 2.0 ** -np.arange(2.0, 18.0), 0.5
 
 
+#: Parameters of which the ends are looked at in place of their ranges.
+_CORNERS = 4
+
+
 class Remainders(Terms):
     """Ũ + K₀ + H₀ over boxes of (e, ξ̃, θ), (B, 2m + parameters), in natural units but for θ."""
 
@@ -64,6 +68,21 @@ class Remainders(Terms):
         self.D, self.Dc = (point(self.design.damping[s, s]) for s in (slice(m), slice(m, None)))
         self.weights = self.design.form.split(self.design.weights)
         self.q_star = self.design.z_star[:k]
+        first = plant.affine[:_CORNERS]
+        self._at_ends = np.array([s in first for s in plant.ranges], bool)
+
+    @property
+    def corners(self) -> Interval:
+        """Ends of θ that stand in M, U and R to the first power, the whole ranges of others.
+
+        E and the forms that are to be positive are affine in each of these.
+        """
+        lo, hi, ends = self.theta.lo, self.theta.hi, self._at_ends
+        sides = np.array(list(product((False, True), repeat=int(ends.sum()))), bool)
+        high = np.zeros((len(sides), len(lo)), bool)
+        high[:, ends] = sides
+        at_end = np.where(high, hi, lo)
+        return Interval(np.where(ends, at_end, lo), np.where(ends, at_end, hi))
 
     @property
     def _casimirs(self) -> tuple[sp.Expr, ...]:
@@ -74,23 +93,39 @@ class Remainders(Terms):
     @cached_property
     def xi_bar(self) -> Interval | None:
         """The minimum of Hc(ξ) + K(c(q*, ξ)) in ξ, enclosed (m,)."""
-        xi = self.design.xi_star
-        at = self._shape(point(np.concatenate([self.q_star, xi])[None]))[:, self.k :]
+        return self._minimum(np.zeros(self.k))
+
+    def _minimum(self, off: Vector) -> Interval | None:
+        """The same for every q within `off` (k,) of q*."""
+        xi, k = self.design.xi_star, self.k
+        z, away = np.concatenate([self.q_star, xi]), np.concatenate([off, np.zeros(self.m)])
+        at = self._shape(Interval((z - away)[None], (z + away)[None]))[:, k:]
         g = float(norm(at.grad)[0])
         least = float(np.linalg.eigvalsh(at.hess.mid[0])[0])
         for radius in _RADII:
             if g < _MU * least * radius:
-                box = np.concatenate([self.q_star, xi])
-                reach = np.concatenate([np.zeros(self.k), np.full(self.m, radius)])
-                cells = Interval(np.nextafter(box - reach, -np.inf)[None],
-                                 np.nextafter(box + reach, np.inf)[None])  # fmt: skip
-                hess = self._shape(cells)[:, self.k :].hess
+                reach = np.concatenate([off, np.full(self.m, radius)])
+                cells = Interval(np.nextafter(z - reach, -np.inf)[None],
+                                 np.nextafter(z + reach, np.inf)[None])  # fmt: skip
+                hess = self._shape(cells)[:, k:].hess
                 if positive_definite(hess, _MU * least)[0]:
-                    away = np.nextafter(g / (_MU * least) * (1 + 1e-12), np.inf)
+                    near = np.nextafter(g / (_MU * least) * (1 + 1e-12), np.inf)
                     return Interval(
-                        np.nextafter(xi - away, -np.inf), np.nextafter(xi + away, np.inf)
+                        np.nextafter(xi - near, -np.inf), np.nextafter(xi + near, np.inf)
                     )
         return None
+
+    def springs_at_rest(self, off: Vector) -> tuple[Interval, Interval] | None:
+        """∇²Hc and N_ξ∇²K N_ξᵀ at rest, (m, m) each, for every q within `off` (k,) of q*."""
+        xi = self._minimum(off)
+        if xi is None:
+            return None
+        at = Interval(np.concatenate([self.q_star - off, xi.lo])[None],
+                      np.concatenate([self.q_star + off, xi.hi])[None])  # fmt: skip
+        h = network_jet(self.design.form.hc, self.weights[0], xi[None]).hess[0]
+        c = stack([j.value for j in self._linear(coordinates(at))])
+        bends = network_jet(self.design.form.k, self.weights[1], c).hess
+        return h, matmul(matmul(transposed(self.Nxi), bends), self.Nxi)[0]
 
     def _shape(self, Z: Interval) -> _Parts:
         """Hc(ξ) + K(c(q, ξ)) over boxes of (q, ξ)."""
@@ -204,7 +239,7 @@ class Remainders(Terms):
         """
         plant, units, found = self.design.loop.plant, self._momentum_units, []
         with np.errstate(all="ignore"):
-            e, theta = Z[:, : self.k], Z[:, 2 * self.m :]
+            e, theta = Z[:, : self.k], self._between(Z[:, 2 * self.m :])
             at = beside(e + np.broadcast_to(self.q_star, e.shape), theta)
             M = self.inertia(at, e)[0]
             ahead = matmul(M, e[..., None])[..., 0] * self.leads
@@ -219,6 +254,11 @@ class Remainders(Terms):
             return super().ceiling(Z)
         least = np.where(np.isfinite(found), found, 0.0).min(axis=0)
         return np.asarray((self.energy(Z) + point(least)).lo, float)
+
+    def _between(self, theta: Interval) -> Interval:
+        """The whole ranges in place of ends: what is a quotient of M is not affine."""
+        ends, whole = self._at_ends, self.theta
+        return Interval(np.where(ends, whole.lo, theta.lo), np.where(ends, whole.hi, theta.hi))
 
     @cached_property
     def _momentum_units(self) -> Vector:
