@@ -97,7 +97,7 @@ def holds_everywhere(design: Design) -> bool:
 
 
 def _keeps_signs(design: Design) -> bool:
-    """Whether B of u = u₀ + Bũ is diagonal, constant and positive."""
+    """Whether B of u = u₀ + Bũ is diagonal and positive, whatever the state."""
     ahead, m = design.loop.plant.preliminary, design.loop.plant.m
     if ahead is None:
         return True
