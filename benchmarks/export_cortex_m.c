@@ -1,4 +1,5 @@
-/* Runs the controller on an emulated Cortex-M4F (qemu, mps2-an386) and prints what it needs.
+/* Runs the controller on an emulated Cortex-M4F or M7 (qemu, mps2-an386 and an500) and prints what
+ * it needs.
  *
  * With -icount shift=0 one instruction takes 1 ns of virtual time and SysTick counts every 40 ns.
  * Prints: instructions per necc_control, bytes of stack, a hash of the results' bits.

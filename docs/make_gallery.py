@@ -25,13 +25,14 @@ from necc_casadi.model.model_file import load_model
 from necc_casadi.model.modulated import Modulated, System
 from necc_casadi.pipeline.request import Request
 from necc_casadi.pipeline.run import run_design
-from necc_casadi.report.figures import region_figure, responses_figure
 from necc_casadi.report.findings import Findings, attracts, global_claim, region_claim
 from necc_casadi.report.gallery import from_the_boundary
 from necc_casadi.report.landscape_figure import landscape_figure
 from necc_casadi.report.methods import method_rows
+from necc_casadi.report.region_figure import region_figure
+from necc_casadi.report.responses_figure import responses_figure
 from necc_casadi.report.style import write_figure
-from necc_casadi.report.to_text import percent
+from necc_casadi.report.values import percent
 from necc_casadi.synthesis.options import Options
 from necc_casadi.verdict.verdict import Verdict
 

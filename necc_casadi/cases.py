@@ -73,7 +73,7 @@ Precision = Literal["double", "float"]
 
 
 #: How the C controller advances its state over a sample.
-Integrator = Literal["heun", "euler", "rk4"]
+Integrator = Literal["heun", "euler", "rk4", "casimir"]
 
 
 #: How a name of the C code may begin, as a pattern: C99 tells names apart by 31 letters, and those

@@ -3,6 +3,7 @@
 import ast
 import subprocess
 import sys
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -69,6 +70,7 @@ def imported(tree) -> set[str]:
     return found
 
 
+@cache
 def inside(name) -> set[str]:
     """Files of the package that a file imports."""
     return {MODULES[module] for module in imported(TREES[name]) if module in MODULES} - {name}

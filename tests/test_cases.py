@@ -115,9 +115,8 @@ def test_a_small_pendulum_gets_small_gains(tmp_path):
     assert any("sizes of q, p, xi1, u were guessed" in note for note in found["notes"])
 
 
-@pytest.mark.parametrize(
-    "m", ["1e-6", *(pytest.param(m, marks=pytest.mark.slow) for m in ("3e5", "1e6"))]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("m", ["1e-6", "3e5", "1e6"])
 def test_the_mass_of_a_pendulum_changes_nothing_but_its_units(tmp_path, m):
     results = []
     for mass in ("1", m):

@@ -231,6 +231,24 @@ __all__ = ["design_command"]
 @output_option("--fmu", is_flag=True, help="Also an FMI 2.0 co-simulation unit.")
 @output_option("--mex", is_flag=True, help="Also a MEX source for MATLAB.")
 @output_option("--sample-time", type=Positive(), help="Sample time of the C controller, s.")
+@output_option(
+    "--min-sample-time",
+    type=Positive(),
+    metavar="SECONDS",
+    help="Shortest time between two samples, for how near the sampled loop stays under rounding, "
+    "noise and delay.  [default: a hundredth of --sample-time]",
+)
+@output_option(
+    "--noise",
+    metavar="NAME=SIZE,…",
+    help="Largest error of measured states, in their units, for the same: q=1e-3,p=0.01.",
+)
+@output_option(
+    "--input-error",
+    metavar="NAME=SIZE,…",
+    help="Largest error of inputs as they are applied, likewise.",
+)
+@output_option("--delay", is_flag=True, help="Each u is applied one sample late, likewise.")
 @last_options("necc-design", "Show IPOPT's iterations and tracebacks.")
 def _design(model: Path, **options: Any) -> int:
     """Design a certified energy-Casimir controller for the plant in MODEL.

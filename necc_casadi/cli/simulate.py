@@ -92,7 +92,7 @@ def _simulate(out: Path, **options: Any) -> int:
     if options["csv"] is not None and str(options["csv"]) != "-":
         write_text(options["csv"], text)
     if options["plot"] is not None:
-        from necc_casadi.report.figures import responses_figure
+        from necc_casadi.report.responses_figure import responses_figure
         from necc_casadi.report.style import styled, write_figure
 
         with styled():

@@ -5,6 +5,7 @@ With γᵢ = Φ₂ ∂C/∂cᵢ and Φ₁ from the networks,
     ∂V/∂x = Φ₁ ∇H + Σ γᵢ ∂cᵢ/∂x,   ∂V/∂ξ = Φ₁ ∇Hc + Σ γᵢ ∂cᵢ/∂ξ.
 
 The code keeps s, which is ξ itself in the published loop, and ξ − γ(x) in one of power shaping.
+With ``casimir`` it reads ξ off x, and keeps ξ − γ(x) of the published loop (``kept_casimirs.py``).
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from __future__ import annotations
 import casadi as ca
 
 from necc_casadi.designs.integral import integral_rate
+from necc_casadi.designs.law import law_of
 from necc_casadi.export.casadi2c import c_function
 from necc_casadi.export.margin import (
     margin_code,
@@ -20,10 +22,14 @@ from necc_casadi.export.margin import (
 )
 from necc_casadi.export.networks import CNetwork, c_network, kernels, loop_sizes
 from necc_casadi.export.source import Source
-from necc_casadi.export.targets import target_code
+from necc_casadi.export.targets import moving_set, target_code
 from necc_casadi.export.templating import fill, indent
 
 __all__ = ["c_networks", "controller"]
+
+
+#: In ``necc_update``, with integral action.
+_INTEGRATE = "integrate(next.x, dt, next.zeta, next.zeta_rest);"
 
 
 #: Body of ``necc_start`` where ξ does not start along with x(0).
@@ -50,7 +56,7 @@ def controller(source: Source) -> str:
         parts=indent(_parts(source)),
         shape=indent(_shape(source)),
         law_arguments=_members(source),
-        integrator=fill(f"{source.integrator}.c"),
+        **_update(source),
         saturation=saturation,
         saturate="saturate(u)" if saturation else "NECC_OK",
         xi_star=real.literals(source.design.stored_star),
@@ -63,11 +69,41 @@ def controller(source: Source) -> str:
     return source.named(text)
 
 
+def _update(source: Source) -> dict[str, str]:
+    """How ξ comes from one sample to the next."""
+    kept, real = source.kept, source.number
+    integrate = "" if source.design.integral is None else _INTEGRATE
+    if kept is None:
+        return {
+            "integrator": fill(f"{source.integrator}.c"),
+            "update": fill("update_held.c", integrate=integrate),
+            "rate_of": "xi' alone.",
+            "arrive": "",
+            "remember": "\n    (void)memcpy(next.xidot, xidot, sizeof xidot);\n    next.moved = 0;",
+        }
+    x = ca.SX.sym("x", source.n)
+    gamma = kept.gamma(ca.densify(source.design.lyapunov.terms.measured.state(x)))
+    leaf = c_function("integrated", [("x", x)], [("shift", gamma)], real)
+    update = fill(
+        "update_kept.c",
+        steps=source.substeps,
+        longest=real.literal(source.longest_due),
+        integrate=integrate.replace("next.", "state->"),
+    )
+    return {
+        "integrator": f"/* What xi is more than what is kept, at x. */\n{leaf}",
+        "update": update,
+        "rate_of": "What damping adds to the rate of xi.",
+        "arrive": f"arrive(&next, {'at' if moving_set(source) else 'x'});\n    ",
+        "remember": "",
+    }
+
+
 def _integral(source: Source) -> dict[str, str]:
     """What integral action adds: its code, and ζ before, in and after a sample."""
     design, real = source.design, source.number
     if design.integral is None:
-        return dict.fromkeys(("integral", "counter", "integrate", "subtract"), "")
+        return dict.fromkeys(("integral", "counter", "subtract"), "")
     x, q_star = ca.SX.sym("x", source.n), design.z_star[: source.n // 2]
     rate = integral_rate(design.lyapunov, design.integral, q_star, measured=True)
     leaf = c_function("integral_rate", [("x", x)], [("rate", rate(x))], real)
@@ -75,7 +111,6 @@ def _integral(source: Source) -> dict[str, str]:
     return {
         "integral": code,
         "counter": "\n    int i;",
-        "integrate": "integrate(next.x, dt, next.zeta, next.zeta_rest);",
         "subtract": "\n    for (i = 0; i < NECC_NU; ++i) {\n        v[i] -= state->zeta[i];\n    }",
     }
 
@@ -91,37 +126,20 @@ def c_networks(source: Source) -> list[CNetwork]:
 
 def _leaves(source: Source) -> list[str]:
     """Casimirs, H where Φ or the margin takes it, and the law given the networks' slopes."""
-    design, real = source.design, source.number
-    terms = design.lyapunov.terms
-    x, s = ca.SX.sym("x", source.n), ca.SX.sym("xi", source.nc)  # x as it is measured
-    z, state = ca.SX.sym("z", source.n + source.nc), ca.densify(terms.measured.state(x))
-    here, grad_H = ca.vertcat(state, s + terms.gamma(state)), ca.SX.sym("grad_H", source.n)
-    c = terms.c(z)
-    grad_hc, gamma = ca.SX.sym("grad_hc", source.nc), ca.SX.sym("gamma", source.r)
-    phi_1 = ca.SX.sym("phi_1") if source.neural_phi else ca.SX(1)
-    energy_slope = ca.vertcat(grad_H, grad_hc)
-    V_z = phi_1 * energy_slope + ca.jacobian(c, z).T @ gamma
-    injected = -ca.DM(design.damping) @ (terms.ports(z).T @ V_z)
-    u = injected[: source.m] - terms.feedback(z) @ grad_hc
-    u = u if terms.preliminary is None else terms.preliminary(z[: source.n], u)
-    s_dot = terms.own_structure(z) @ energy_slope + terms.own_ports(z) @ injected
-    slope_here = ca.densify(terms.measured.grad_H(x))
-    c, V_xi, u, s_dot = ca.substitute(
-        [c, V_z[source.n :], u, s_dot], [z, grad_H], [here, slope_here]
-    )
-    slopes = {"grad_hc": grad_hc, "gamma": gamma, "phi_1": phi_1}
-    arguments = [("x", x), ("xi", s), *((name, slopes[name]) for name in _slopes(source))]
-    leaves = [c_function("casimirs", arguments[:2], [("c", c)], real)]
+    design, real, law = source.design, source.number, law_of(source.design)
+    arguments = [("x", law.x), ("xi", law.s), *law.slopes.items()]
+    leaves = [c_function("casimirs", arguments[:2], [("c", law.casimirs)], real)]
     if source.shaped:
-        leaves.append(c_function("shifted", arguments[:2], [("held", here[source.n :])], real))
+        leaves.append(c_function("shifted", arguments[:2], [("held", law.held)], real))
     if source.neural_phi or margin_of_region(source) is not None:
-        H = terms.measured.H(x)
+        H = design.lyapunov.terms.measured.H(law.x)
         leaves.append(c_function("hamiltonian", arguments[:1], [("H", H)], real))
     if needs_state(source):
-        leaves.append(c_function("model_state", arguments[:1], [("state", state)], real))
-    leaves.append(c_function("control_law", arguments, [("u", u), ("xidot", s_dot)], real))
-    leaves.append(c_function("state_rate", arguments, [("xidot", s_dot)], real))
-    leaves.append(c_function("energy_slope", arguments, [("gradient", V_xi)], real))
+        leaves.append(c_function("model_state", arguments[:1], [("state", law.state)], real))
+    leaves.append(c_function("control_law", arguments, [("u", law.u), ("xidot", law.rate)], real))
+    moved = law.rate if source.kept is None else law.damped
+    leaves.append(c_function("state_rate", arguments, [("xidot", moved)], real))
+    leaves.append(c_function("energy_slope", arguments, [("gradient", law.V_xi)], real))
     return leaves
 
 

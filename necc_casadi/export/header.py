@@ -35,6 +35,30 @@ _LAWS = {
 }
 
 
+#: What the state holds of the last sample where ξ is integrated, and what ``necc_update`` does.
+_HELD_MEMBERS = """\
+    necc_real xidot[NECC_NXI]; /* at (x, xi) of the last sample */
+    necc_real xi_rest[NECC_NXI]; /* what rounding leaves of xi: its value is xi + xi_rest */"""
+_HELD_MOVED = "\n    int moved; /* whether xi has been advanced since xidot */"
+_HELD_UPDATE = """\
+/* xi advances over dt with the x of the last sample held (@method@); before the
+ * first sample nothing does. The dynamics of xi use x alone, so that a clipped u does not wind
+ * them up. What rounding takes away from xi is kept and added the next time. One call for each
+ * period: what is proved of the sampled loop is not proved of several. */"""
+
+
+#: The same where Casimirs are kept.
+_KEPT_MEMBERS = """\
+    necc_real kept[NECC_NXI]; /* of xi, where x does not enter: it is kept + kept_rest */
+    necc_real kept_rest[NECC_NXI]; /* what rounding leaves of it */
+    necc_real due; /* time for which damping has to be made up, s */"""
+_KEPT_UPDATE = """\
+/* dt passes. Casimirs are kept: at the next sample xi is what its x makes of them, whatever u was
+ * between, and then goes down V(x, .) over the time that passed, in @steps@ steps, of no more than
+ * @longest@ s. Before the first sample nothing happens. Several calls are one over their sum.
+ * Nothing is proved of this sampled loop. */"""
+
+
 #: In the state, with integral action.
 _ZETA = "\n    necc_real zeta[NECC_NU]; /* integral action */"
 
@@ -85,10 +109,28 @@ def header(source: Source) -> str:
         zeta=_ZETA if design.integral else "",
         zeta_rest=_ZETA_REST if design.integral else "",
         real=source.real,
-        integrator_name=_METHODS[source.integrator],
+        **_update(source),
         guard=f"NECC_DESIGN_{design.hash[:16]}",
     )
     return source.named(text)
+
+
+def _update(source: Source) -> dict[str, str]:
+    """What the state holds for the next sample, and what ``necc_update`` does."""
+    if source.kept is None:
+        method = _METHODS[source.integrator]
+        return {
+            "members": _HELD_MEMBERS,
+            "moved": _HELD_MOVED,
+            "update_text": _HELD_UPDATE.replace("@method@", method),
+        }
+    text = _KEPT_UPDATE.replace("@steps@", str(source.substeps))
+    longest = f"{source.longest_due:.4g}"
+    return {
+        "members": _KEPT_MEMBERS,
+        "moved": "",
+        "update_text": text.replace("@longest@", longest),
+    }
 
 
 def _law(source: Source) -> str:
@@ -141,12 +183,15 @@ def _sampled_claim(source: Source) -> str:
     """What is proved of the loop that this code makes, called with the time since the last call."""
     if source.sampled_claim is None:
         return ""
-    kept = "" if source.real == "double" else " This code rounds to float; the claim does not."
+    near = source.disturbed_claim
+    kept = " It does not cover rounding." if near is None else ""
     text = (
         "Proved of the sampled loop, where dt of necc_step is the time since the last call, 0 at "
         f"the first: {source.sampled_claim}.{kept}"
     )
-    return f"\n/*\n{_item(comment(text))}\n */"
+    items = [text] if near is None else [text, f"Proved of this code, too: {near}."]
+    lines = "\n".join(_item(comment(item)) for item in items)
+    return f"\n/*\n{lines}\n */"
 
 
 def _measured(source: Source) -> str:

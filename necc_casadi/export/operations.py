@@ -12,7 +12,13 @@ from collections.abc import Iterable
 
 from necc_casadi.export.networks import CNetwork
 
-__all__ = ["ACTIVATION_COUNTS", "count_networks", "count_text", "least_cycles"]
+__all__ = [
+    "ACTIVATION_COUNTS",
+    "count_networks",
+    "count_text",
+    "least_cycles",
+    "least_cycles_dual_issue",
+]
 
 
 #: Of σ and σ′ together, in ``tanh_float.c`` and the others: (×, + and −, ÷, roots).
@@ -73,3 +79,13 @@ def count_text(text: str) -> Counter[str]:
 def least_cycles(counts: Counter[str]) -> int:
     """Cycles on a Cortex-M4F below which no compiler comes: arithmetic, and a load per weight."""
     return counts["weights"] + sum(_CYCLES[name] * counts[name] for name in _NAMES)
+
+
+def least_cycles_dual_issue(counts: Counter[str]) -> int:
+    """Cycles of arithmetic where at most two instructions begin in a cycle: Cortex-M7.
+
+    Its latencies are not published. A multiplication and an addition are two instructions, since
+    nothing is contracted; loads may take several numbers at once and are not counted.
+    """
+    arithmetic = sum(counts[name] for name in _NAMES)
+    return (arithmetic + 1) // 2

@@ -7,6 +7,7 @@ import re
 import shutil
 import subprocess
 import tempfile
+from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,7 +15,12 @@ from necc_casadi.export.compiled import find_compiler
 from necc_casadi.export.controller import c_networks, controller
 from necc_casadi.export.cortex import cross_compiled
 from necc_casadi.export.header import header
-from necc_casadi.export.operations import count_networks, count_text, least_cycles
+from necc_casadi.export.operations import (
+    count_networks,
+    count_text,
+    least_cycles,
+    least_cycles_dual_issue,
+)
 from necc_casadi.export.source import Source
 from necc_casadi.export.templating import fill
 from necc_casadi.texts import escaped
@@ -42,7 +48,10 @@ def readme(source: Source, *, measured: bool = True) -> str:
     rows = [m for flags in _FLAGS if compiler and (m := measure(source, compiler, flags))]
     float_note = ""
     if source.real == "float":
-        float_note = " The claims in `necc.h` are about exact arithmetic, not about its rounding."
+        beside = (
+            "but the one about this code" if source.disturbed_claim else "not about its rounding"
+        )
+        float_note = f" The claims in `necc.h` are about exact arithmetic, {beside}."
     text = fill(
         "README.md",
         title=escaped(source.design.loop.plant.name),
@@ -52,6 +61,7 @@ def readme(source: Source, *, measured: bool = True) -> str:
         float_note=float_note,
         order="; ".join(f"`{array}` = ({', '.join(of)})" for array, of in _order(source).items()),
         counted=counted(source),
+        calls=_calls(source),
         cross=cross_compiled(source) if measured else "",
         measured=_table(rows, compiler) if rows else "Not measured: no C compiler was at hand.",
     )
@@ -68,12 +78,23 @@ def _order(source: Source) -> dict[str, list[str]]:
     }
 
 
+def _calls(source: Source) -> str:
+    """How many evaluations of the law a sample takes."""
+    if source.kept is not None:
+        return (
+            f"`necc_step` takes {source.substeps + 1} of these, all of them in `necc_output`: xi "
+            f"goes {source.substeps} step(s) down V before u is computed."
+        )
+    many = {"euler": "one", "heun": "two", "rk4": "four"}[source.integrator]
+    return f"`necc_step` takes {many} of these, `necc_output` one of them."
+
+
 #: Plant terms that ``necc_control`` calls once.
 _TERMS = ("casimirs", "shifted", "hamiltonian", "control_law")
 
 
 def counted(source: Source) -> str:
-    """Operations of one ``necc_control``, and what they cost at least on a Cortex-M4F."""
+    """Operations of one ``necc_control``, and what they cost at least on a Cortex-M4F and M7."""
     code, counts = controller(source), count_networks(c_networks(source), source.real)
     for name in _TERMS:
         body = re.search(rf"^static void {name}\(.*?\n\{{\n(.*?)\n\}}", code, re.M | re.S)
@@ -82,12 +103,26 @@ def counted(source: Source) -> str:
     weights = counts["weights"]
     listed = ", ".join(f"{n} {name}" for name, n in sorted(counts.items()) if name != "weights")
     text = f"One `necc_control` takes {listed} and reads {weights} weights: counted in the code."
+    return f"{text} {_on_m4(source, counts)} {_on_m7(source, counts)}"
+
+
+def _on_m4(source: Source, counts: Counter[str]) -> str:
     if source.real == "double":
-        return text + " A Cortex-M4F computes `double` in software."
+        return "A Cortex-M4F computes `double` in software."
     return (
-        f"{text} A Cortex-M4F needs at least {least_cycles(counts)} cycles for them (1 for each "
+        f"A Cortex-M4F needs at least {least_cycles(counts)} cycles for them (1 for each "
         "multiplication, addition and weight, 14 for a division or a root; the C library is not "
         "counted): a bound from below, not measured; stores, loops and flash come on top."
+    )
+
+
+def _on_m7(source: Source, counts: Counter[str]) -> str:
+    unit = " with an FPU for `double` (`fpv5-d16`)" if source.real == "double" else ""
+    return (
+        f"A Cortex-M7{unit} begins at most two instructions in a cycle, so that it needs at least "
+        f"{least_cycles_dual_issue(counts)} cycles for the arithmetic, without contraction: a "
+        "bound from below, too, and a low one, since Arm publishes no latencies and none is "
+        "assumed; loads are not counted either."
     )
 
 

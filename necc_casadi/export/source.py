@@ -11,17 +11,23 @@ from typing import get_args
 import numpy as np
 
 from necc_casadi.cases import NAME_IN_C, Integrator, Precision
+from necc_casadi.casimirs.outputs import refuse_without_time
 from necc_casadi.certificate.claims.certificate import Certificate
 from necc_casadi.certificate.claims.claim import Claim
 from necc_casadi.designs.design import Design, refuse_other
 from necc_casadi.errors import OptionError
 from necc_casadi.export.casadi2c import Real
-from necc_casadi.export.sampled_loop import ORDERS, largest_stable_time
+from necc_casadi.export.kept_casimirs import KeptCasimirs, kept_casimirs
+from necc_casadi.export.sampled_loop import largest_stable_time
 from necc_casadi.export.templating import PREFIX, prefixed
 from necc_casadi.model.parametric import Parametric
 from necc_casadi.model.shaped_loop import ShapedLoop
 
 __all__ = ["Source"]
+
+
+#: s: no controller is called at such periods.
+_FOREVER = 1e30
 
 
 #: Samples in one natural time, and how far below the largest stable sample time, by default.
@@ -35,8 +41,9 @@ class Source:
     Raises
     ------
     OptionError
-        For an unknown type or integrator, a sample time that is not positive, a prefix that is
-        no beginning of a name in C, or the certificate of another design.
+        For an unknown type or integrator, one that does not fit the design, a sample time that is
+        not positive, a prefix that is no beginning of a name in C, or the certificate of another
+        design.
     """
 
     design: Design
@@ -52,9 +59,10 @@ class Source:
             raise OptionError(
                 "usage", f"real = {self.real!r}", f"Use {' or '.join(get_args(Precision))}."
             )
-        if self.integrator not in ORDERS:
+        known = get_args(Integrator)
+        if self.integrator not in known:
             raise OptionError(
-                "usage", f"integrator = {self.integrator!r}", f"Use {', '.join(ORDERS)}."
+                "usage", f"integrator = {self.integrator!r}", f"Use {', '.join(known)}."
             )
         if self.sample_time is not None and not 0 < self.sample_time < np.inf:
             raise OptionError(
@@ -67,6 +75,8 @@ class Source:
                 "Use a letter, then letters, digits and _, at most 31 together.",
             )
 
+        if self.kept is not None:
+            self.kept.checked_steps(self.step_time)
         if self.certificate is not None:
             refuse_other(self.design, self.certificate)
 
@@ -81,12 +91,24 @@ class Source:
     def claims(self) -> tuple[str, ...]:
         """What is claimed of the loop in continuous time, in words."""
         held = self._held
-        return tuple(claim.statement for claim in held if claim.name != "sampled")
+        own = ("sampled", "disturbed")
+        return tuple(claim.statement for claim in held if claim.name not in own)
 
     @property
     def sampled_claim(self) -> str | None:
-        """What is claimed of the loop that this code makes, in words."""
+        """What is claimed of the loop that this code makes, in words; None of another method."""
+        region = None if self.certificate is None else self.certificate.sampled
+        if region is None or region.integrator != self.integrator:
+            return None
         return next((claim.statement for claim in self._held if claim.name == "sampled"), None)
+
+    @property
+    def disturbed_claim(self) -> str | None:
+        """The same under rounding of the type of this code, noise and delay."""
+        if self.sampled_claim is None:
+            return None
+        same = (c for c in self._held if c.name == "disturbed" and c.data["precision"] == self.real)
+        return next((claim.statement for claim in same), None)
 
     @property
     def _held(self) -> tuple[Claim, ...]:
@@ -141,6 +163,26 @@ class Source:
     def input_columns(self) -> list[str]:
         """Names of the inputs in tables and units: u1 … um where they have none of their own."""
         return list(self.design.loop.plant.inputs) or [f"u{i + 1}" for i in range(self.m)]
+
+    @cached_property
+    def kept(self) -> KeptCasimirs | None:
+        """What is kept of ξ where it is not integrated; None: it is."""
+        if self.integrator != "casimir":
+            return None
+        if self.sample_time is None:
+            refuse_without_time()
+        return kept_casimirs(self.design)
+
+    @property
+    def substeps(self) -> int:
+        """Steps that ξ takes at a sample where Casimirs are kept; else 1."""
+        return 1 if self.kept is None else self.kept.steps(self.step_time)
+
+    @property
+    def longest_due(self) -> float:
+        """Of a longer period no more counts for these steps, s."""
+        fastest = 0.0 if self.kept is None else self.kept.fastest
+        return min(self.substeps / fastest, _FOREVER) if fastest > 0 else _FOREVER
 
     @property
     def neural_phi(self) -> bool:

@@ -127,6 +127,7 @@ def target_code(source: Source) -> dict[str, str]:
         rest=real.literal(found.rest),
         infinite=f"HUGE_VAL{real.suffix.upper()}",
         fabs=f"fabs{real.suffix}",
+        take=fill("target_held.c" if source.kept is None else "target_kept.c"),
         u_size=real.literals(design.sizes.input),
         close=real.literal(_SAME * real.eps),
         cbrt_eps=real.literal(float(f"{real.eps ** (1 / 3):.1g}")),

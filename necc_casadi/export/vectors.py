@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import casadi as ca
 import numpy as np
@@ -14,7 +14,7 @@ from necc_casadi.export.casadi2c import Real
 from necc_casadi.export.source import Source
 from necc_casadi.export.templating import fill
 
-__all__ = ["TOLERANCE", "reference_step", "vector_table"]
+__all__ = ["TOLERANCE", "next_state", "reference_step", "vector_table"]
 
 
 #: Error that a vector allows, relative to the natural size of an output and what cancels in it.
@@ -25,6 +25,30 @@ _COUNT = 16
 
 
 _SATURATED = 1
+
+
+#: (x, s, dt, x at the next sample) -> s there.
+Next = Callable[[Vector, Vector, float, Vector], Vector]
+
+
+def next_state(source: Source) -> Next:
+    """What one sample makes of the state, in double precision; x as it is measured."""
+    kept = source.kept
+    if kept is None:
+        step = reference_step(source.design, source.integrator)
+        return lambda x, s, dt, _: np.asarray(step.call([x, s, dt])[1], float).ravel()
+    V, m = source.design.lyapunov, source.substeps
+
+    def gamma(x: Vector) -> Vector:
+        return np.asarray(kept.gamma(V.state(x)), float).ravel()
+
+    def after(x: Vector, s: Vector, dt: float, x_next: Vector) -> Vector:
+        xi, h = s - gamma(x) + gamma(x_next), min(dt, source.longest_due) / m
+        for _ in range(m):
+            xi = xi + h * np.asarray(kept.rate(x_next, xi), float).ravel()
+        return xi
+
+    return after
 
 
 def reference_step(design: Design, integrator: Integrator) -> ca.Function:
@@ -85,9 +109,10 @@ def vector_table(source: Source) -> str:
     design, real, n = source.design, source.number, source.n
     rng = np.random.default_rng(0)
     lo, hi = design.domain.lo, design.domain.hi
-    step, scales = reference_step(design, source.integrator), rounding_scales(design)
+    following, scales = next_state(source), _scales(source)
     V, law = design.lyapunov, design.lyapunov.measured_law_function
     rows = []
+    first = real.rounded(V.measured(design.z_star[:n]))
     for index in range(_COUNT):
         inside = rng.uniform(0.75 * lo + 0.25 * hi, 0.25 * lo + 0.75 * hi)
         z = inside if index > 0 else design.z_star
@@ -95,10 +120,9 @@ def vector_table(source: Source) -> str:
         s = real.rounded(V.stored(z[:n], z[n:]))
         dt = float(real.rounded(np.array(source.step_time * (1 + index % 3) / 3)))
         u, rate = (np.asarray(v, float).ravel() for v in law.call([x, s]))
-        after = np.asarray(step.call([x, s, dt])[1], float).ravel()
+        after = following(x, s, dt, first)
         limited, flags = _saturated(design, u)
-        allowed = [np.asarray(v, float).ravel() for v in scales.call([V.state(x), s, dt])]
-        outputs = [u, rate, limited, after, *allowed]
+        outputs = [u, rate, limited, after, *scales(V.state(x), s, dt, after)]
         rows.append(_row([x, s], outputs, dt, flags, real))
     text = fill(
         "test_vectors.h",
@@ -107,6 +131,22 @@ def vector_table(source: Source) -> str:
         vectors=",\n".join(rows),
     )
     return source.named(text)
+
+
+def _scales(source: Source) -> Callable[[Vector, Vector, float, Vector], list[Vector]]:
+    """(State, s, dt, s at the next sample) -> scales of u, of ṡ and of s there."""
+    design, kept, n = source.design, source.kept, source.n
+    scales = rounding_scales(design)
+
+    def at(x: Vector, s: Vector, dt: float, after: Vector) -> list[Vector]:
+        found = [np.asarray(v, float).ravel() for v in scales.call([x, s, dt])]
+        if kept is not None:  # x jumps, ξ with it, and then damping moves it
+            first = design.z_star[:n]
+            found[2] += np.asarray(scales.call([first, after, dt])[2], float).ravel()
+            found[2] += sum(np.abs(np.asarray(kept.gamma(v), float).ravel()) for v in (x, first))
+        return found
+
+    return at
 
 
 def _saturated(design: Design, u: Vector) -> tuple[Vector, int]:

@@ -1,7 +1,9 @@
 """Proofs that no constant F_d exists: an uncontrollable mode, or a dual certificate.
 
 A refusal needs every B with a symmetric B(∂s/∂x)ᵀ: sampled at exact rational points the condition
-gives a family that contains all of them. A solver that finds nothing has proved nothing.
+gives a family that contains all of them. What is said of states near x* says nothing of another
+branch of a root or an arc: there points are taken where everything is smooth on the way from x*. A
+solver that finds nothing has proved nothing.
 """
 
 from __future__ import annotations
@@ -23,6 +25,7 @@ from necc_casadi.symbolic.derivatives import at
 from necc_casadi.symbolic.expressions import is_finite
 from necc_casadi.symbolic.floats import float_matrix
 from necc_casadi.symbolic.linear_algebra import kernel
+from necc_casadi.symbolic.pieces import Box, branches, piece_around
 from necc_casadi.symbolic.zero import Undecided, random_point
 
 __all__ = ["no_constant_structure", "nothing_is_conserved", "uncontrollable_growth"]
@@ -36,13 +39,30 @@ _DENOMINATORS = (1, 12, 1000, 10**6)
 _POINTS = 16
 
 
-def nothing_is_conserved(slopes: sp.Matrix) -> bool:
-    """Whether a·s ≡ 0 is proved to have no solution a ≠ 0, from ∂s/∂x: then G⊥F_d has full rank.
+def nothing_is_conserved(slopes: sp.Matrix, x_star: Mapping[sp.Symbol, sp.Expr]) -> bool:
+    """Whether a·s ≡ 0 near x* is proved to ask for a = 0, from ∂s/∂x: then G⊥F_d has full rank.
 
     aG⊥x would be constant whatever the inputs do; F_d may hold it, and be singular along aG⊥.
     """
+    symbols, box = slopes.free_symbols, _branch(slopes, x_star)
+    if box is None:
+        return False
+    points = (random_point(symbols, seed, box) for seed in range(_POINTS))
+    return independent_rows(slopes, points)
+
+
+def _branch(slopes: sp.Matrix, x_star: Mapping[sp.Symbol, sp.Expr]) -> Box | None:
+    """A box around x* on which the slopes are analytic; none is needed for one branch alone.
+
+    None where they are not proved to be smooth at x*.
+    """
+    if not branches(slopes):
+        return {}
     symbols = slopes.free_symbols
-    return independent_rows(slopes, (random_point(symbols, seed) for seed in range(_POINTS)))
+    piece = piece_around(
+        list(slopes), {s: x_star[s] for s in symbols}, dict.fromkeys(symbols, sp.Integer(2))
+    )
+    return None if piece is None else piece.box
 
 
 def uncontrollable_growth(A: sp.Matrix, G: sp.Matrix, conserved: bool = False) -> bool:
@@ -78,7 +98,7 @@ def no_constant_structure(
     For Z, Y ⪰ 0, Z ≠ 0 with ⟨Z, S(B)⟩ = ⟨Y, BG⊥ᵀ + G⊥Bᵀ⟩ for every B of the family, S(B) ≻ 0 and
     BG⊥ᵀ + G⊥Bᵀ ⪯ 0 exclude each other. That F_d asks for (iii) rests on nothing being conserved.
     """
-    family = _family(slopes)
+    family = _family(slopes, x_star)
     r, n = slopes.shape
     there = sp.Matrix(at(slopes, x_star))
     entries = [*there, *annihilator]
@@ -91,13 +111,18 @@ def no_constant_structure(
     return _dual_exists(curved, losing, r)
 
 
-def _family(slopes: sp.Matrix) -> sp.Matrix | None:
-    """Basis of the B that are symmetric at some rational points, where the rows are rational."""
-    rows = symmetry_rows(slopes)
+def _family(slopes: sp.Matrix, x_star: Mapping[sp.Symbol, sp.Expr]) -> sp.Matrix | None:
+    """Basis of the B that are symmetric at some rational points, where the rows are rational.
+
+    None where no points are known on the branch of x*.
+    """
+    rows, box = symmetry_rows(slopes), _branch(slopes, x_star)
+    if box is None:
+        return None
     points = slopes.cols + 3
     sampled = [sp.zeros(0, rows.cols)]
     for seed in range(points):
-        values = _at_rational_point(rows, seed)
+        values = _at_rational_point(rows, seed, box)
         kept = [i for i in range(rows.rows) if all(e.is_Rational for e in values[i, :])]
         if kept and is_finite(values):
             sampled.append(sp.Matrix(values.extract(kept, list(range(rows.cols)))))
@@ -105,10 +130,15 @@ def _family(slopes: sp.Matrix) -> sp.Matrix | None:
     return kernel(stacked) if stacked.rows else sp.eye(rows.cols)
 
 
-def _at_rational_point(rows: sp.Matrix, seed: int) -> sp.Matrix:
-    """Rows at a point with rational sines and cosines where angles stand in nothing else."""
+def _at_rational_point(rows: sp.Matrix, seed: int, box: Box) -> sp.Matrix:
+    """Rows at a point, of a box where one is given.
+
+    Else with rational sines and cosines, where angles stand in nothing else.
+    """
     rows = rows.applyfunc(sp.expand_trig)
-    point = random_point(rows.free_symbols, seed)
+    point = random_point(rows.free_symbols, seed, box)
+    if box:
+        return sp.Matrix(at(rows, point))
     found = {f.args[0] for entry in rows for f in entry.atoms(sp.sin, sp.cos)}
     angles = {s for s in point if s in found}
     half = {s: point[s] for s in angles}  # tan(s/2)

@@ -97,7 +97,11 @@ class RunOptions(TypedDict, total=False):
     sweep_a
         ``(lo, hi, n)``: also design for n values of a.
     real, integrator, sample_time, prefix
-        Of the C code: ``"double"`` or ``"float"``; ``"heun"``, ``"euler"`` or ``"rk4"``; s; a word.
+        Of the C code: ``"double"`` or ``"float"``; ``"heun"``, ``"euler"``, ``"rk4"`` or
+        ``"casimir"``; s; a word.
+    min_sample_time, noise, input_error, delay
+        What the sampled loop is to bear: s; ``{"q": 1e-3}``, of measured states and of inputs, in
+        their units; whether u is applied one sample late.
     fmu, mex
         Also an FMI unit; also a MEX source.
 
@@ -142,6 +146,10 @@ class RunOptions(TypedDict, total=False):
     real: Precision
     integrator: Integrator
     sample_time: float
+    min_sample_time: float
+    noise: Mapping[str, float]
+    input_error: Mapping[str, float]
+    delay: bool
     prefix: str
     fmu: bool
     mex: bool
@@ -169,6 +177,7 @@ def request_of(
     given = {name: _read(name, hints[name], value) for name, value in options.items()}
     said: dict[str, Any] = {
         **given,
+        **{name: _listed(given[name]) for name in ("noise", "input_error") if name in given},
         "param": tuple(f"{k}={_text(v)}" for k, v in given.get("param", {}).items()),
         "target": None if target is None else _target_text(target),
         "model": Path(model) if isinstance(model, str) else model,
@@ -193,6 +202,10 @@ def _call(model: object, target: object, options: Mapping[str, Any]) -> str:
 
 def _shown(value: Any) -> str:
     return repr(value.tolist() if isinstance(value, (np.ndarray, np.generic)) else value)
+
+
+def _listed(sizes: Mapping[str, Any]) -> str:
+    return ",".join(f"{name}={_text(size)}" for name, size in sizes.items())
 
 
 def _text(value: Any) -> str:

@@ -21,11 +21,13 @@ from necc_casadi.cases import (
     Precision,
     Shape,
 )
+from necc_casadi.casimirs.outputs import refuse_kept, refuse_without_time
 from necc_casadi.errors import ModelError, OptionError
 from necc_casadi.model.file_entries import damping_matrix
 from necc_casadi.model.model_file import Model, load_model
 from necc_casadi.model.plant import Plant
 from necc_casadi.model.target import free_coordinates, parse_target, target_from_model
+from necc_casadi.pipeline.disturbances import check_disturbances
 from necc_casadi.pipeline.ranges import middle_of_target
 from necc_casadi.synthesis.options import Options, check_options, paper_options
 from necc_casadi.verdict.controller_structures import suggest_controllers
@@ -93,6 +95,10 @@ class Request:
     structure: str | None = None  # name of a controller structure that the tool offers
     real: Precision = "double"
     sample_time: float | None = None
+    min_sample_time: float | None = None  # s
+    noise: str | None = None  # NAME=SIZE,… of measured states
+    input_error: str | None = None  # NAME=SIZE,… of inputs as they are applied
+    delay: bool = False  # u is applied one sample late
     integrator: Integrator = "heun"
     prefix: str = "necc"
     fmu: bool = False
@@ -250,6 +256,20 @@ def _check_integral(request: Request, options: Options, model: Model) -> None:
             )
 
 
+def _check_kept(request: Request, options: Options) -> None:
+    """Refuse what Casimirs cannot be kept with, before any training."""
+    if request.sample_time is None:
+        refuse_without_time()
+    neither = {
+        "--phi neural": options.phi != "sum",
+        "--casimir-form sum": options.casimir_form != "joint",
+        "--learn-casimir": options.learn_casimir,
+    }
+    for name, given in neither.items():
+        if given:
+            refuse_kept(f"with {name} nothing bounds the curvature of V in ξ")
+
+
 def read_options(request: Request, model: Model) -> Options:
     """The options of the synthesis, from the request and the model."""
     m = model.system.m
@@ -267,6 +287,9 @@ def read_options(request: Request, model: Model) -> Options:
     check_options(options)
     if request.integral is not False:
         _check_integral(request, options, model)
+    if request.integrator == "casimir":
+        _check_kept(request, options)
+    check_disturbances(request, model.system)
     if model.told and model.parametric is None:
         raise OptionError(
             "param",

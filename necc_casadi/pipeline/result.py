@@ -188,17 +188,21 @@ class Result:
         Figure or None
             The figure that was made; None with axes of your own.
         """
-        from necc_casadi.report import figures
+        from necc_casadi.report.responses_figure import (
+            draw_over_time,
+            responses_figure,
+            shown_over_time,
+        )
         from necc_casadi.report.ticks import finished
 
         made, found = self.findings.finished[0], self.findings.responses
 
         def draw(axis: Axes, name: str) -> None:
-            figures.draw_over_time(axis, made, found, name)
+            draw_over_time(axis, made, found, name)
             finished(axis, [("x", "time", "s")])
 
-        known = figures.shown_over_time(made, found)
-        return _on(ax, show, known, draw, lambda: figures.responses_figure(made, found))
+        known = shown_over_time(made, found)
+        return _on(ax, show, known, draw, lambda: responses_figure(made, found))
 
     def plot_comparison(self, ax: Any = None, show: str | Sequence[str] | None = None) -> Any:
         """The step and the loop beside LQR, with ``compare=True``.
@@ -237,13 +241,13 @@ class Result:
 
     def plot_lyapunov(self, ax: Axes | None = None) -> Figure | None:
         """Contours of V − V(z̄) over two states; a figure has the surface too."""
-        from necc_casadi.report import figures
+        from necc_casadi.report.region_figure import draw_contours, lyapunov_figure
 
         made = self.findings.finished[0]
         return _single(
             ax,
-            lambda axis: figures.draw_contours(axis, made),
-            lambda: figures.lyapunov_figure(made),
+            lambda axis: draw_contours(axis, made),
+            lambda: lyapunov_figure(made),
         )
 
     def plot_region(self, ax: Axes | None = None) -> Figure | None:
@@ -254,8 +258,8 @@ class Result:
         OptionError
             Where no region is proved; the whole space is none.
         """
-        from necc_casadi.report import figures
         from necc_casadi.report.gallery import from_the_boundary
+        from necc_casadi.report.region_figure import draw_region, region_figure
 
         made, certificate = self.findings.finished
         level = certificate.level
@@ -265,8 +269,8 @@ class Result:
         ends = (certificate.reach, certificate.obstacle)
         return _single(
             ax,
-            lambda axis: figures.draw_region(axis, *shown, *ends),
-            lambda: figures.region_figure(*shown, *ends),
+            lambda axis: draw_region(axis, *shown, *ends),
+            lambda: region_figure(*shown, *ends),
         )
 
     def plot_landscape(self, ax: Axes | None = None) -> Figure | None:

@@ -13,8 +13,8 @@ from necc_casadi.arrays import Vector
 from necc_casadi.designs.design import Design
 from necc_casadi.performance.margins import Sweep
 from necc_casadi.performance.measure import Curve, Loop, Performance
-from necc_casadi.report.figures import coarse_enough, draw_limits, named_input, named_state
-from necc_casadi.report.style import Drawing
+from necc_casadi.report.named_axes import coarse_enough, draw_limits, named_input, named_state
+from necc_casadi.report.style import INK, MINIMUM, TARGET, UNSETTLED, Drawing
 from necc_casadi.report.ticks import engineering, finished, logarithmic
 from necc_casadi.report.time_axis import until_rest
 
@@ -31,9 +31,9 @@ __all__ = [
 
 #: Colour and line of each controller.
 _STYLE: dict[str, dict[str, Any]] = {
-    "this design": {"color": "#1f4e79", "lw": 1.8},
-    "LQR": {"color": "#d9730d", "lw": 1.3, "ls": "--"},
-    "optimum": {"color": "#2e7d32", "lw": 1.3, "ls": ":"},
+    "this design": {"color": INK, "lw": 1.8},
+    "LQR": {"color": TARGET, "lw": 1.3, "ls": "--"},
+    "optimum": {"color": MINIMUM, "lw": 1.3, "ls": ":"},
 }
 
 
@@ -209,7 +209,7 @@ def draw_nyquist(axis: Axes, found: Performance, k: int) -> None:
         axis.plot(*_plane(loop.inputs[k]), label=_margin_text(loop), **_STYLE[loop.name])
     circle = np.exp(1j * np.linspace(0, 2 * np.pi, 181))
     axis.plot(circle.real, circle.imag, color="0.7", lw=0.8)
-    axis.plot(-1, 0, "+", color="#a8324a", ms=10, mew=2)
+    axis.plot(-1, 0, "+", color=UNSETTLED, ms=10, mew=2)
     axis.set_xlim(-3, 2)
     axis.set_ylim(-3, 2)
     axis.set_aspect("equal")

@@ -6,17 +6,13 @@ from matplotlib.figure import Figure
 
 from necc_casadi.certificate.claims.certificate import Certificate
 from necc_casadi.designs.design import Design
-from necc_casadi.report.figures import (
-    lyapunov_figure,
-    region_boundary,
-    region_figure,
-    responses_figure,
-    sweep_figure,
-)
 from necc_casadi.report.findings import Findings
 from necc_casadi.report.landscape_figure import landscape_figure
 from necc_casadi.report.proof_figure import proof_figure
+from necc_casadi.report.region_figure import lyapunov_figure, region_boundary, region_figure
+from necc_casadi.report.responses_figure import responses_figure
 from necc_casadi.report.style import styled
+from necc_casadi.report.sweep_figure import sweep_figure
 from necc_casadi.simulation.responses import Trajectory, response_from
 
 __all__ = ["figures_of", "from_the_boundary"]

@@ -17,12 +17,10 @@ from necc_casadi.certificate.prover.region.landscape import Landscape
 from necc_casadi.certificate.prover.region.obstacle import search
 from necc_casadi.designs.design import Design
 from necc_casadi.report.contours import number_contours
+from necc_casadi.report.style import INK, MINIMUM, TARGET, UNSETTLED
 from necc_casadi.report.ticks import engineering, finished, logarithmic, panels
 
 __all__ = ["draw_landscape", "landscape_figure"]
-
-
-_INK, _OBSTACLE, _MINIMUM, _OTHER = "#1f4e79", "#d9730d", "#2e7d32", "#a8324a"
 
 
 #: Points of the curve, and of a side of the plane.
@@ -160,7 +158,7 @@ class _Picture:
     def _mark_obstacle(self, axis: Axes, *height: float) -> None:
         """A dot where it is; else words alone."""
         at = ([], []) if self._marked is None else (*self._marked, *height)
-        axis.plot(*at, " " if self._marked is None else "o", ms=8, color=_OBSTACLE, label=self._met)
+        axis.plot(*at, " " if self._marked is None else "o", ms=8, color=TARGET, label=self._met)
 
     def _along(self, lo: float, hi: float) -> Vector:
         """Points of the curve, denser towards the ends of the region's box, where a pole may be."""
@@ -176,18 +174,18 @@ class _Picture:
         top = (1 + _ABOVE) * self.obstacle.level_above_minimum
         drawn = w.copy()
         drawn[1:][np.abs(np.diff(w)) > top] = np.nan  # a pole is no line
-        axis.plot(s, drawn, color=_INK, lw=1.6)
+        axis.plot(s, drawn, color=INK, lw=1.6)
         inside = self.region.covers(s[:, None] / self._unit) & (w <= self.height)
         axis.fill_between(
-            s, w, self.height, where=inside.tolist(), color=_MINIMUM, alpha=0.2, label=self._proved
+            s, w, self.height, where=inside.tolist(), color=MINIMUM, alpha=0.2, label=self._proved
         )
-        axis.axhline(self.height, ls="--", lw=1, color=_MINIMUM)
+        axis.axhline(self.height, ls="--", lw=1, color=MINIMUM)
         self._mark_obstacle(axis, self.obstacle.level_above_minimum)
         star = self.design.z_bar[self._states[0]]
         low = _minima(drawn)
         low = low[np.abs(s[low] - star) > _APART * (hi[0] - lo[0])]
         if low.size:
-            axis.plot(s[low], w[low], "x", ms=8, mew=2, color=_OTHER, label="other minimum")
+            axis.plot(s[low], w[low], "x", ms=8, mew=2, color=UNSETTLED, label="other minimum")
         shown = w[np.isfinite(w)]
         lowest = max(float(shown.min(initial=0.0)) * 1.05, -top)  # not down a pole
         axis.set_xlim(lo[0], hi[0])
@@ -205,7 +203,7 @@ class _Picture:
             axis.set_ylim(min(-0.05 * top, lowest), top)
             finished(axis, [("y", "min V − V(z̄)", "")])
             label, place = "minimum z̄ of V", 0.0
-        axis.plot(star, place, "+", ms=11, mew=2, color=_MINIMUM, label=label, clip_on=False)
+        axis.plot(star, place, "+", ms=11, mew=2, color=MINIMUM, label=label, clip_on=False)
 
     def plane(self, axis: Axes) -> None:
         """W over two states, and the cells that hold the region."""
@@ -218,18 +216,18 @@ class _Picture:
         levels = low + (top - low) * np.linspace(0.02, 1.0, 16)
         lines = axis.contour(A, B, w, levels=levels, cmap="viridis", linewidths=0.8, alpha=0.7)
         cells = self.region.covers(s / self._unit).reshape(A.shape).astype(float)
-        axis.contour(A, B, cells, levels=[0.5], colors=[_INK], linewidths=0.9, linestyles="--")
-        axis.plot([], [], "--", lw=0.9, color=_INK, label="cells of the proof")
+        axis.contour(A, B, cells, levels=[0.5], colors=[INK], linewidths=0.9, linestyles="--")
+        axis.plot([], [], "--", lw=0.9, color=INK, label="cells of the proof")
         inside = np.where(cells > 0, w, np.nan)
-        axis.contourf(A, B, inside, levels=[low - 1.0, self.height], colors=[_MINIMUM], alpha=0.15)
-        axis.contour(A, B, inside, levels=[self.height], colors=[_MINIMUM], linewidths=2)
-        axis.plot([], [], color=_MINIMUM, lw=2, label=self._proved)
+        axis.contourf(A, B, inside, levels=[low - 1.0, self.height], colors=[MINIMUM], alpha=0.15)
+        axis.contour(A, B, inside, levels=[self.height], colors=[MINIMUM], linewidths=2)
+        axis.plot([], [], color=MINIMUM, lw=2, label=self._proved)
         self._mark_obstacle(axis)
         star = self.design.z_bar[self._states]
-        axis.plot(*star, "+", ms=11, mew=2, color=_MINIMUM, label="minimum z̄ of V")
+        axis.plot(*star, "+", ms=11, mew=2, color=MINIMUM, label="minimum z̄ of V")
         places = self._others
         if len(places):
-            axis.plot(*places.T, "x", ms=8, mew=2, color=_OTHER, label="other minimum")
+            axis.plot(*places.T, "x", ms=8, mew=2, color=UNSETTLED, label="other minimum")
         axis.set_xlim(lo[0], hi[0])
         axis.set_ylim(lo[1], hi[1])
         marks = [star, *places, *([] if self._marked is None else [self._marked])]

@@ -11,13 +11,10 @@ from matplotlib.figure import Figure
 from necc_casadi.arrays import Vector
 from necc_casadi.performance.beside_proof import BesideProof
 from necc_casadi.report.beside import shown_states
-from necc_casadi.report.style import styled
+from necc_casadi.report.style import INK, TARGET, styled
 from necc_casadi.report.ticks import finished, logarithmic, panels, scaled_label
 
 __all__ = ["proof_figure"]
-
-
-_INK, _BAND = "#1f4e79", "#d9730d"
 
 
 #: The smallest error that a logarithmic axis shows, of the largest.
@@ -58,13 +55,13 @@ def _in_time(axis: Axes, found: BesideProof, i: int) -> None:
     """Responses over the band in which every plant is proved to rest."""
     lo, hi = next(side for k, side in enumerate(found.proved.error.values()) if k == i)
     if found.proved.claim == "integral":
-        axis.axhline(0.0, color=_BAND, lw=1.6, zorder=3, label="proved: every plant rests here")
+        axis.axhline(0.0, color=TARGET, lw=1.6, zorder=3, label="proved: every plant rests here")
     else:
-        axis.axhspan(lo, hi, color=_BAND, alpha=0.3, lw=0, label="proved: every plant rests here")
+        axis.axhspan(lo, hi, color=TARGET, alpha=0.3, lw=0, label="proved: every plant rests here")
     for k, error in enumerate(found.errors):
         label = "sampled plants" if k == 0 else None
         times = found.times[: len(error)]
-        axis.plot(times, error[:, i], color=_INK, lw=0.7, alpha=0.45, label=label)
+        axis.plot(times, error[:, i], color=INK, lw=0.7, alpha=0.45, label=label)
     axis.set_xlim(0, found.times[-1])
     axis.grid(alpha=0.25)
 
@@ -74,7 +71,7 @@ def _decay(axis: Axes, found: BesideProof, i: int) -> None:
     largest = max(float(np.abs(error[:, i]).max()) for error in found.errors)
     for error in found.errors:
         size = np.maximum(np.abs(error[:, i]), _LEAST * largest)
-        axis.semilogy(found.times[: len(error)], size, color=_INK, lw=0.7, alpha=0.45)
+        axis.semilogy(found.times[: len(error)], size, color=INK, lw=0.7, alpha=0.45)
     axis.set_xlim(0, found.times[-1])
     axis.grid(alpha=0.25)
 
@@ -84,9 +81,9 @@ def _at_rest(axis: Axes, found: BesideProof, i: int, name: str) -> None:
     lo, hi = found.proved.error[name]
     rests: Vector = found.at_rest[:, i] if len(found.at_rest) else np.zeros(0)
     room = 0.08 * (hi - lo)
-    axis.axvspan(lo, hi, color=_BAND, alpha=0.3, lw=0)
+    axis.axvspan(lo, hi, color=TARGET, alpha=0.3, lw=0)
     for end in (lo, hi):
-        axis.axvline(end, color=_BAND, lw=1.2)
-    axis.hist(rests, bins=np.linspace(lo, hi, 21).tolist(), color=_INK, alpha=0.85)
+        axis.axvline(end, color=TARGET, lw=1.2)
+    axis.hist(rests, bins=np.linspace(lo, hi, 21).tolist(), color=INK, alpha=0.85)
     axis.set_xlim(lo - room, hi + room)
     axis.grid(alpha=0.25)

@@ -17,7 +17,21 @@ from matplotlib.figure import Figure
 from necc_casadi.cases import Format
 from necc_casadi.files import write_text
 
-__all__ = ["Drawing", "inline_svg", "picture", "styled", "write_figure"]
+__all__ = [
+    "INK",
+    "MINIMUM",
+    "TARGET",
+    "UNSETTLED",
+    "Drawing",
+    "inline_svg",
+    "picture",
+    "styled",
+    "write_figure",
+]
+
+
+#: Colours: what moves, the target, what is proved with its minimum, what does not settle.
+INK, TARGET, MINIMUM, UNSETTLED = "#1f4e79", "#d9730d", "#2e7d32", "#a8324a"
 
 
 #: What a file says of itself: nothing that changes from day to day.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import sympy as sp
@@ -62,6 +62,7 @@ def to_json(found: Findings) -> dict[str, Any]:
         else {
             **vars(found.sampling),
             "proved": _sampled_region(found.design, found.certificate),
+            "disturbed": _disturbed_region(found.design, found.certificate),
         },
         "asked": None if found.asked is None else _asked(found.asked),
         "performance": None
@@ -180,6 +181,30 @@ def _sampled_region(made: Design, certificate: Certificate | None) -> dict[str, 
             for row, a in pairs
         ],
         "box": {name: [lo * unit, hi * unit] for name, (lo, hi), unit in sides},
+        "clipped": region.clipped,
+    }
+
+
+def _disturbed_region(made: Design, certificate: Certificate | None) -> dict[str, Any] | None:
+    """Where the sampled loop stays under rounding, noise and delay, in the units of the model."""
+    found = None if certificate is None else certificate.disturbed
+    if certificate is None or found is None:
+        return None
+    units, plant = certificate.units, made.loop.plant
+
+    def by_name(names: Sequence[object], sizes: Sequence[float], scale: Iterable[float]) -> Any:
+        triples = zip(names, sizes, scale, strict=False)
+        return {str(name): size * float(unit) for name, size, unit in triples}
+
+    return {
+        "periods": [found.shortest * units.time, found.period * units.time],
+        "real": found.precision,
+        "noise": by_name(plant.states, found.noise, units.state),
+        "input_error": by_name(plant.input_names, found.input_error, made.units.input),
+        "delayed": found.delay is not None,
+        "level_above_minimum": found.height * units.energy,
+        "limit_above_minimum": found.above * units.energy,
+        "radius": by_name(made.loop.states, found.radius, units.state),
     }
 
 

@@ -9,14 +9,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from necc_casadi.arrays import Vector
-from necc_casadi.report.style import Drawing, styled
+from necc_casadi.report.style import INK, TARGET, Drawing, styled
 from necc_casadi.report.ticks import finished, panels
 from necc_casadi.study.tables import Table
 
 __all__ = ["histograms", "maps"]
-
-
-_INK, _LINE = "#1f4e79", "#d9730d"
 
 
 #: A figure shows so many panels at most.
@@ -67,8 +64,8 @@ def _spread(axis: Axes, values: Vector, label: str, unit: str, share: bool) -> N
         if not hi - lo > 1e-9 * max(abs(lo), abs(hi)):  # all alike
             half = abs(hi) / 2 or 0.5
             lo, hi = lo - half, hi + half
-        axis.hist(known, bins=np.linspace(lo, hi, 26).tolist(), color=_INK, alpha=0.85)
-        axis.axvline(float(np.median(known)), color=_LINE, lw=1.2)
+        axis.hist(known, bins=np.linspace(lo, hi, 26).tolist(), color=INK, alpha=0.85)
+        axis.axvline(float(np.median(known)), color=TARGET, lw=1.2)
     if known.size < values.size:
         note = f"{values.size - known.size} have none"
         axis.text(0.97, 0.95, note, transform=axis.transAxes, ha="right", va="top", fontsize=8)
@@ -153,7 +150,7 @@ def _curves(
     x = table.numbers(across)
     for name, pane in zip(names, panes, strict=False):
         values, label = _values(table, name)
-        pane.plot(x, values, "o", ms=4, color=_INK)
+        pane.plot(x, values, "o", ms=4, color=INK)
         pane.grid(alpha=0.25)
         pane.set_title(label, fontsize=9)
         finished(pane, [("x", across, units.get(across, "")), ("y", "", "")])

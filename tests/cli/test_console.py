@@ -22,7 +22,10 @@ CONSOLES = {
 }
 
 
-@pytest.mark.parametrize("letters", CONSOLES)
+@pytest.mark.parametrize(
+    "letters",
+    [pytest.param(c, marks=[pytest.mark.slow] * (c in ("ascii", "utf-8"))) for c in CONSOLES],
+)
 def test_every_command_on_every_console(made, tmp_path, letters):
     environment = {k: v for k, v in os.environ.items() if not k.startswith("PYTHONIO")}
     options = {

@@ -192,13 +192,27 @@ def test_bad_input_as_a_process(tmp_path, code, text, target):
         ["--damping", ""], ["--controller-damping", "nan"], ["--sweep-a", "1:2"],
         ["--sweep-a", "0:1:3"], ["--sweep-a", "2:1:3"], ["--sample-time", "0"],
         ["--sample-time", "nan"], ["--sample-time", "inf"], ["--real", "half"], ["--elsewhere"],
-        ["one", "too", "many"],
+        ["one", "too", "many"], ["--integrator", "casimir"],
+        ["--integrator", "casimir", "--sample-time", "1", "--phi", "neural"],
+        ["--integrator", "casimir", "--sample-time", "1", "--casimir-form", "sum"],
     ],
     ids=" ".join,
 )  # fmt: skip
 def test_options_that_make_no_sense(tmp_path, arguments):
     result = design(PENDULUM, "--target", "pi/4", "--json", "--out", tmp_path / "o", *arguments)
     check_refusal(result, "usage")
+    assert not (tmp_path / "o").exists()
+
+
+@pytest.mark.parametrize(
+    ("name", "why"), [("dc_motor", "Jc and Rc are not 0"), ("parallel_rlc", "held by another")]
+)
+def test_casimirs_cannot_be_kept_of_every_loop(tmp_path, name, why):
+    """Before any training."""
+    options = ("--integrator", "casimir", "--sample-time", "0.01", "--json")
+    path = PENDULUM.parent / f"{name}.py"
+    result = design(path, *options, "--out", tmp_path / "o")
+    check_refusal(result, "usage", why)
     assert not (tmp_path / "o").exists()
 
 

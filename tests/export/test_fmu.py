@@ -17,7 +17,8 @@ from helpers.velocity import pendulum_with_load
 
 from necc_casadi.certificate.prover.certify import certify
 from necc_casadi.export.fmu import export_fmu
-from necc_casadi.export.vectors import reference_step
+from necc_casadi.export.source import Source
+from necc_casadi.export.vectors import next_state, reference_step
 from necc_casadi.lyapunov.networks import Network
 from necc_casadi.lyapunov.parameterization import Form
 from necc_casadi.synthesis.integral import with_integral
@@ -110,6 +111,22 @@ def test_steps_are_those_of_python(unit):
         assert master.step(k * DT, DT) == 0
         assert master.flags() == int(abs(u[0]) > 1.5)
         xi = after
+    master.call("fmi2FreeInstance")
+
+
+def test_casimirs_are_kept_in_a_unit(tmp_path):
+    """ξ is that of the x that is shown, before the step is made."""
+    d, options = example(), {"integrator": "casimir", "sample_time": DT}
+    path = export_fmu(d, tmp_path / "pendulum-held.fmu", **options)
+    zipfile.ZipFile(path).extractall(tmp_path / "unpacked")
+    master = start((d, path, tmp_path / "unpacked"), measured(0))
+    after, xi = next_state(Source(d, **options)), np.array(master.get()[1:])
+    for k in range(STEPS):
+        master.set(measured(k))
+        xi = after(measured(k - 1), xi, DT, measured(k)) if k else xi
+        u = np.clip(d.control(measured(k), xi)[0], -1.5, 1.5)
+        np.testing.assert_allclose(master.get(), [*u, *xi], rtol=0, atol=1e-12)
+        assert master.step(k * DT, DT) == 0
     master.call("fmi2FreeInstance")
 
 

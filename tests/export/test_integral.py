@@ -46,6 +46,27 @@ def test_a_step_moves_zeta_by_the_position_error(made, real):
     assert kept[m:] == pytest.approx(-made.integral.limit)
 
 
+def test_zeta_goes_on_where_casimirs_are_kept(made):
+    """ζ advances with the x of the last sample, as with the other methods; ξ follows x."""
+    options = {"integrator": "casimir", "sample_time": 0.01}
+    m, rng = made.loop.plant.m, np.random.default_rng(0)
+    one, other = compile_controller(made, flags=STRICT, **options), compile_controller(made)
+    ys = made.z_star[: 2 * m] + 0.1 * rng.normal(size=(5, 2 * m))
+    start, dts = [*made.xi_star, *np.full(m, 0.125)], [0, *np.full(4, 0.01)]
+    runs = [code.samples(start, ys, dts) for code in (one, other)]
+    assert np.array_equal(runs[0][1][:, m:], runs[1][1][:, m:])
+    assert np.array_equal(runs[0][0][0], runs[1][0][0])
+    law = made.measured_controller
+    u = [
+        np.asarray(law.call([y, kept])[0], float).ravel()
+        for y, kept in zip(ys, runs[0][1], strict=True)
+    ]
+    assert runs[0][0] == pytest.approx(np.array(u), rel=1e-12, abs=1e-12)
+    radii = [spectral_radius(made, 1e-3, name) for name in ("casimir", "heun")]
+    assert radii[0] == pytest.approx(radii[1], abs=1e-5)
+    assert radii[0] < 1
+
+
 def test_bad_measurements_leave_zeta_alone(made):
     compiled, m = compile_controller(made), made.loop.plant.m
     kept = [*made.xi_star, *np.full(m, 0.25)]

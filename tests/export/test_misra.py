@@ -24,7 +24,12 @@ SMALL = Form(
 SUM = Form(
     Network(2, (32, 32)), Network(1, (64,), "squareplus"), (Network(1, (5,)), Network(1, ()))
 )
-CASES = {"float": (LIMITED, SMALL, "heun"), "double": (arm_loop(), SUM, "rk4")}
+KEPT = Form(Network(1, (40,), quadratic=True), Network(1, (20,), quadratic=True))
+CASES = {
+    "float": (LIMITED, SMALL, "heun"),
+    "double": (arm_loop(), SUM, "rk4"),
+    "kept": (LIMITED, KEPT, "casimir"),
+}
 PEDANTIC = [
     "-Wcast-qual", "-Wcast-align", "-Wswitch-default", "-Wstrict-prototypes", "-Wundef",
     "-Wwrite-strings", "-Wfloat-conversion", "-Wsign-conversion", "-Wpointer-arith", "-Wvla",
@@ -40,7 +45,8 @@ def exported(folder, real):
         return folder / "necc.c"
     loop, form, integrator = CASES[real]
     made = design(loop, form)
-    export_c(made, folder, real=real, integrator=integrator, sample_time=0.01, measured=False)
+    number = "float" if real == "kept" else real
+    export_c(made, folder, real=number, integrator=integrator, sample_time=0.01, measured=False)
     return folder / "necc.c"
 
 

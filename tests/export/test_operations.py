@@ -14,6 +14,7 @@ from necc_casadi.export.operations import (
     count_networks,
     count_text,
     least_cycles,
+    least_cycles_dual_issue,
 )
 from necc_casadi.export.readme import readme
 from necc_casadi.export.source import Source
@@ -56,7 +57,14 @@ def test_the_readme_says_what_is_counted_and_that_it_is_not_measured():
     assert f"{counts['divisions']} divisions" in text
     assert "not measured" in text
     assert least_cycles(Counter(divisions=2, weights=3)) == 31
-    assert "in software" in readme(Source(d), measured=False)
+    double = readme(Source(d), measured=False)
+    assert "in software" in double
+    assert (text.count("bound from below"), double.count("bound from below")) == (2, 1)
+    arithmetic = sum(n for name, n in counts.items() if name != "weights")
+    on_m7 = int(re.search(r"cycle, so that it needs at least (\d+) cycles", text)[1])
+    assert arithmetic / 2 < on_m7 < arithmetic / 2 + 10
+    assert "with an FPU for `double` (`fpv5-d16`) begins" in double
+    assert least_cycles_dual_issue(Counter(divisions=2, additions=3, weights=9)) == 3
 
 
 GRAPH = """graph: { title: "necc.c"
@@ -93,3 +101,13 @@ if shutil.which("arm-none-eabi-gcc"):
         weights = 4 * (64 + 33 * 32 + 33 + 128 + 65 * 64 + 65)
         assert weights < large[0] < weights + 8 * 1024
         assert 256 < small[2] < large[2] < 2048
+        assert small[4] == large[4] == 0
+        assert weights < large[3] < weights + 8 * 1024  # an M7
+
+    def test_numbers_in_double_take_more_room_on_an_m7():
+        texts = [cross_compiled(Source(paper_design((32,), (64,)), r)) for r in ("float", "double")]
+        sizes = [[int(n) for n in re.findall(r"(\d+) (?:bytes|of RAM)", t)] for t in texts]
+        assert "for a Cortex-M7" in texts[1]
+        assert all(
+            one > 1.2 * other for one, other in zip(sizes[1][3::2], sizes[0][3::2], strict=True)
+        )

@@ -99,9 +99,10 @@ def moving():
     return lowered(replace(pendulum(), setpoints={"q": (sp.Integer(-2), sp.Integer(2))}))
 
 
-def build(moving, folder, name, code, real="double", how=0):
+def build(moving, folder, name, code, real="double", how=0, integrator="heun"):
     made, certificate = moving
-    source = Source(made, certificate=certificate, real=real)
+    options = {"real": real, "integrator": integrator, "sample_time": 0.01}
+    source = Source(made, certificate=certificate, **options)
     for file, text in (("necc.h", header(source)), ("necc.c", controller(source))):
         (folder / file).write_text(text, encoding="utf-8")
     (folder / f"{name}.c").write_text(code, encoding="utf-8")
@@ -112,9 +113,9 @@ def build(moving, folder, name, code, real="double", how=0):
     subprocess.run(command, cwd=folder, check=True)
 
 
-def attacked(moving, folder, real, how, seeds):
+def attacked(moving, folder, real, how, seeds, integrator="heun"):
     """The least and the largest of what counts in runs of 10⁵ samples."""
-    build(moving, folder, "attack", ATTACK, real, how)
+    build(moving, folder, "attack", ATTACK, real, how, integrator)
     counts = np.zeros(5)
     for seed in seeds:
         run = subprocess.run(
@@ -129,13 +130,13 @@ def attacked(moving, folder, real, how, seeds):
 
 
 @pytest.mark.parametrize("real", ["double", "float"])
-@pytest.mark.parametrize("how", [0, 3], ids=["keep", "any"])
-def test_no_sequence_of_commands_leaves_the_level(moving, tmp_path, real, how):
+@pytest.mark.parametrize(("how", "integrator"), [(0, "heun"), (3, "heun"), (3, "casimir")])
+def test_no_sequence_of_commands_leaves_the_level(moving, tmp_path, real, how, integrator):
     """A new command every 4 s; V is never above the level, and commands arrive.
 
     What is no command changes nothing.
     """
-    counts = attacked(moving, tmp_path, real, how, (1, 2))
+    counts = attacked(moving, tmp_path, real, how, (1, 2), integrator)
     assert np.all(counts[[0, 1, 3]] > 100)
     assert counts[:4].sum() == 200_000
 
@@ -195,9 +196,43 @@ def test_each_answer_of_the_function(moving, tmp_path):
     assert float(words[9]) == pytest.approx(np.sin(1.25), abs=1e-12)  # what holds it there
 
 
-def test_strict_compilers_take_it_and_the_header_says_it(moving, tmp_path):
+def test_xi_stays_at_a_change_where_casimirs_are_kept(moving, tmp_path):
+    """And what is kept is the Casimir of what the law sees from the new set-point."""
+    code = """
+    #include "necc.c"
+    #include <stdio.h>
+    int main(void)
+    {
+        necc_state s;
+        const necc_real x[2] = {0.75, 0}, y[2] = {0.8, 0}, to[1] = {0.79};
+        necc_real u[1], before;
+        necc_init(&s);
+        necc_step(&s, x, u, 0);
+        before = s.xi[0];
+        printf("%d ", necc_set_target(&s, x, to));
+        necc_step(&s, x, u, 0);
+        printf("%.3g ", fabs(s.xi[0] - before));
+        necc_update(&s, 0.01);
+        necc_set_target(&s, y, x); /* between two samples: xi is what y makes of it */
+        printf("%.3g ", fabs(s.xi[0] - before - 0.05));
+        necc_step(&s, y, u, 0);
+        printf("%.3g\\n", fabs(s.xi[0] - before - 0.05));
+        return 0;
+    }
+    """
+    build(moving, tmp_path, "kept", code, integrator="casimir")
+    run = subprocess.run(["./kept"], cwd=tmp_path, check=True, capture_output=True, text=True)
+    flags, same, on_the_way, damped = (float(v) for v in run.stdout.split())
+    assert flags == 0
+    assert same < 1e-15
+    assert on_the_way < 1e-15
+    assert 0 < damped < 0.01  # the time that was due
+
+
+@pytest.mark.parametrize("integrator", ["heun", "casimir"])
+def test_strict_compilers_take_it_and_the_header_says_it(moving, tmp_path, integrator):
     made, certificate = moving
-    source = Source(made, certificate=certificate)
+    source = Source(made, certificate=certificate, integrator=integrator, sample_time=0.01)
     for file, text in (("necc.h", header(source)), ("necc.c", controller(source))):
         (tmp_path / file).write_text(text, encoding="utf-8")
     for compiler in COMPILERS:

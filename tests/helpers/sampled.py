@@ -1,12 +1,31 @@
 """The sampled loop in floating point: the scheme that is exported, the plant to high accuracy."""
 
+from dataclasses import replace
+
 import numpy as np
 
 
 def held_input(design, z):
-    """u and ξ̇ of the law at states (B, N)."""
+    """u, within its limits where it has some, and ξ̇ of the law at states (B, N)."""
     n = design.loop.plant.n
-    return design.control(z[:, :n], z[:, n:])
+    u, rate = design.control(z[:, :n], z[:, n:])
+    limits = design.loop.plant.u_limits
+    return (u if limits is None else np.clip(u, *np.array(limits).T)), rate
+
+
+def with_limits(design, limits):
+    """A design of a plant with limits of u, in the units of the design."""
+    plant = replace(design.loop.plant, u_limits=tuple(map(tuple, np.array(limits).tolist())))
+    return replace(design, loop=replace(design.loop, plant=plant))
+
+
+def limited_around(design, z, room):
+    """The same with limits of u this far beyond −y_c at all of some states (B, N)."""
+    n, m = design.loop.plant.n, design.loop.plant.m
+    undamped = design.damping.copy()
+    undamped[:m] = 0.0
+    resting, _ = replace(design, damping=undamped).control(z[:, :n], z[:, n:])
+    return with_limits(design, np.stack([resting.min(0) - room, resting.max(0) + room], 1))
 
 
 def plant_after(design, x, u, s, steps=16):

@@ -1,5 +1,7 @@
 """Constant target structures: found with exact proofs, refused only with exact proofs."""
 
+import random
+
 import numpy as np
 import pytest
 import sympy as sp
@@ -379,8 +381,8 @@ def test_a_plant_that_is_real_on_half_of_its_space_is_held():
     """∂s/∂x has no real value at a point with h₁ < h₂, which tells nothing about what it is."""
     f, G, x, target = interacting_tanks()
     slopes = sp.Matrix([f[1]]).jacobian(x)
-    assert nothing_is_conserved(slopes)
     there = dict(zip(x, target, strict=True))
+    assert nothing_is_conserved(slopes, there)
     found = constant_structure(sp.Matrix(f), sp.Matrix(G), x, there)
     assert isinstance(found, Matching)
     assert found.holds
@@ -393,6 +395,60 @@ def test_a_plant_that_is_real_on_half_of_its_space_is_held():
 
 def test_what_is_conserved_is_found_to_be_so():
     """Two rows that are a multiple of one another at every point are dependent at all of them."""
-    f, _, x, _ = interacting_tanks()
-    assert not nothing_is_conserved(sp.Matrix([f[1], 3 * f[1]]).jacobian(x))
-    assert nothing_is_conserved(sp.Matrix([f[1], 3 * f[0]]).jacobian(x))
+    f, _, x, target = interacting_tanks()
+    there = dict(zip(x, target, strict=True))
+    assert not nothing_is_conserved(sp.Matrix([f[1], 3 * f[1]]).jacobian(x), there)
+    assert nothing_is_conserved(sp.Matrix([f[1], 3 * f[0]]).jacobian(x), there)
+
+
+def one_branch(s1):
+    """ẋ = F_d∇H₀ near 0 with H₀ = ½(a² + b² + c²) + ⅓a³, where s₁ is −a − a² + b."""
+    a, b, c = x = sp.symbols("a b c", real=True)
+    return structure_of([s1(a, b), -a - a**2 - b + c, a - c], [0, 0, 1], x, [0] * 3)[0]
+
+
+def test_what_another_branch_is_like_refuses_nothing_here():
+    """√(a² + 2a + 1) is 1 + a near 0, and −1 − a beyond −1, where the same F_d would not do."""
+    root = lambda a: sp.sqrt(a**2 + 2 * a + 1)  # noqa: E731
+    assert isinstance(one_branch(lambda a, b: -(1 + a) * a + b), Matching)
+    found = one_branch(lambda a, b: -root(a) * a + b)
+    assert isinstance(found, Matching) or not found.proved
+    # a stays as it is near 0, and nowhere beyond −1
+    stays = one_branch(lambda a, b: (root(a) - 1 - a) * (1 - b))
+    assert not stays.proved
+    assert "may stay" in stays.reason
+
+
+@pytest.mark.slow
+def test_a_structure_that_is_there_is_never_refused():
+    """Plants made of a known F_d, often singular, an H₀ and a feedback: found, or left open."""
+    rng, seen = random.Random(4), set()
+    for _ in range(15):
+        f, G, x = made_of_a_structure(rng)
+        found, _ = structure_of(f, G, x, [0] * len(x))
+        assert isinstance(found, Matching) or not found.proved, (f, G)
+        seen.add(isinstance(found, Matching))
+    assert True in seen
+
+
+def made_of_a_structure(rng):
+    """F = K − LLᵀ, L of any rank, ∇²H₀(0) ≻ 0, f = F∇H₀ + Gu."""
+    number = lambda: sp.Rational(rng.randint(-2, 2), rng.choice((1, 1, 2)))  # noqa: E731
+    while True:
+        n = rng.choice((2, 3, 3))
+        x = sp.symbols(f"x1:{n + 1}", real=True)
+        K = sp.Matrix(n, n, lambda i, j: number() if i > j else 0)
+        L = sp.Matrix(n, rng.randint(1, n), lambda i, j: number() * rng.randint(0, 1))
+        root = sp.eye(n) + sp.Matrix(n, n, lambda i, j: rng.randint(-1, 1) * rng.randint(0, 1))
+        G = sp.Matrix(n, 1, lambda i, j: rng.randint(-1, 1))
+        form = sum(number() * v for v in x)
+        bend = rng.choice((form**3 / 3, form**4 / 4, 1 - sp.cos(form), sp.log(1 + form**2)))
+        H = (sp.Matrix(x).T * root * root.T * sp.Matrix(x))[0] / 2 + bend
+        if root.det() == 0 or G.is_zero_matrix or "zoo" in str(H):
+            continue
+        there = sp.hessian(H, x).subs(dict.fromkeys(x, 0))
+        if not there.is_positive_definite:
+            continue
+        slope = sp.Matrix([sp.diff(H, v) for v in x])
+        f = (K - K.T - L * L.T) * slope + G * rng.choice((0, x[0], x[-1] ** 2))
+        return list(f.applyfunc(sp.expand)), list(G), x

@@ -25,7 +25,10 @@ from necc_casadi.symbolic.zero import is_zero
 PROBLEMS = {"parallel RLC": parallel_rlc, "motor": lossy_motor, "machine": machine}
 
 
-@pytest.fixture(scope="module", params=PROBLEMS)
+@pytest.fixture(
+    scope="module",
+    params=[pytest.param(p, marks=[pytest.mark.slow] * (p == "machine")) for p in PROBLEMS],
+)
 def task(request):
     return shaped_problem(*PROBLEMS[request.param]())
 

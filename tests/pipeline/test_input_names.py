@@ -9,7 +9,8 @@ from necc_casadi.certificate.checker.check import check
 from necc_casadi.designs.design import Design
 from necc_casadi.designs.layout import to_dict
 from necc_casadi.pipeline.call import run
-from necc_casadi.report.figures import named_input, shown_over_time
+from necc_casadi.report.named_axes import named_input
+from necc_casadi.report.responses_figure import shown_over_time
 
 MODEL = """
 import sympy as sp

@@ -69,6 +69,24 @@ def test_a_sample_time_that_is_too_long_is_noted(tmp_path):
     assert data["sampling"]["warning"] in data["notes"]
 
 
+@pytest.mark.slow
+def test_casimirs_are_kept_where_asked_for(tmp_path):
+    """Nothing is proved of that sampled loop, and header and notes do not say otherwise."""
+    out = tmp_path / "o"
+    code, data = run(
+        PENDULUM, "--target", "pi/4", *SMALL, "--no-plots", "--sample-time", "0.05",
+        "--integrator", "casimir", "--out", out,
+    )  # fmt: skip
+    assert code == 0
+    assert data["sampling"]["proved"] is None
+    assert data["sampling"]["spectral_radius"] < 1
+    header, source = ((out / "c" / name).read_text("utf-8") for name in ("necc.h", "necc.c"))
+    assert "Nothing is proved of this sampled loop" in header
+    assert "Proved of the sampled loop" not in header
+    assert "static void arrive(" in source
+    assert here(_certify, out)[0] == 0
+
+
 def test_what_was_not_asked_for_is_null(tmp_path):
     code, data = run(PENDULUM, "--target", "pi/4", "--check")
     assert code == 0

@@ -11,11 +11,14 @@ from matplotlib.figure import Figure
 
 from necc_casadi.certificate.prover.certify import certify
 from necc_casadi.model.model_file import load_model
-from necc_casadi.report import figures
 from necc_casadi.report.contours import contour_levels, number_contours
 from necc_casadi.report.landscape_figure import landscape_figure
+from necc_casadi.report.region_figure import lyapunov_figure, region_boundary, region_figure
+from necc_casadi.report.responses_figure import responses_figure, shown_over_time
 from necc_casadi.report.slices import Window, slice_boundary, telling_pair
 from necc_casadi.report.style import write_figure
+from necc_casadi.report.sweep_figure import sweep_figure
+from necc_casadi.report.sweep_point import SweepPoint
 from necc_casadi.report.time_axis import until_rest
 from necc_casadi.simulation.responses import random_states, simulate
 
@@ -34,7 +37,7 @@ def drawn(figure) -> bytes:
 @pytest.mark.parametrize("name", ["default", "paper", "joint"])
 def test_the_lyapunov_figure_marks_both_minima(designs, name):
     made = designs[name]
-    figure = figures.lyapunov_figure(made)
+    figure = lyapunov_figure(made)
     flat = figure.axes[1]
     i, j = telling_pair(made)
     marked = {line.get_label(): line.get_xydata()[0] for line in flat.lines}
@@ -50,14 +53,14 @@ def test_the_lyapunov_figure_marks_both_minima(designs, name):
 
 
 def test_labels_carry_the_units_of_the_model(default_design):
-    figure = figures.lyapunov_figure(default_design)
+    figure = lyapunov_figure(default_design)
     labels = {figure.axes[1].get_xlabel(), figure.axes[1].get_ylabel()}
     assert labels == {"q [rad]", "p [kg m²/s]"}
 
 
 def test_the_plotted_surface_is_V(default_design):
     """The lowest contour's height and the grid come from V itself: compare a cut through z*."""
-    surface = figures.lyapunov_figure(default_design).axes[0]
+    surface = lyapunov_figure(default_design).axes[0]
     low, high = surface.get_zlim()
     corner = default_design.z_star.copy()
     corner[:2] += 2
@@ -67,7 +70,7 @@ def test_the_plotted_surface_is_V(default_design):
 
 
 def test_responses_show_every_state_the_input_and_V(default_design, response):
-    figure = figures.responses_figure(default_design, [response])
+    figure = responses_figure(default_design, [response])
     labels = [axis.get_ylabel() for axis in figure.axes]
     assert labels[:4] == ["q [rad]", "p [kg m²/s]", "xi1", "u"]
     assert "V" in labels[4]
@@ -84,9 +87,9 @@ def test_responses_show_every_state_the_input_and_V(default_design, response):
 
 def test_responses_that_do_not_settle_are_told_apart(default_design, response):
     """By colour, with a legend; where all settle there is none."""
-    assert not figures.responses_figure(default_design, [response]).legends
+    assert not responses_figure(default_design, [response]).legends
     cut = replace(response, z=response.z[:3], u=response.u[:3], V=response.V[:3], t=response.t[:3])
-    figure = figures.responses_figure(default_design, [response, cut])
+    figure = responses_figure(default_design, [response, cut])
     (legend,) = figure.legends
     colors = {line.get_label(): line.get_color() for line in legend.get_lines()}
     drawn_in = [line.get_color() for line in figure.axes[0].lines[:2]]
@@ -96,7 +99,7 @@ def test_responses_that_do_not_settle_are_told_apart(default_design, response):
 def test_two_inputs_are_two_panels(designs):
     made = designs["joint"]
     some = simulate(made, random_states(made, 1)[0], points=21)
-    labels = [axis.get_ylabel() for axis in figures.responses_figure(made, [some]).axes]
+    labels = [axis.get_ylabel() for axis in responses_figure(made, [some]).axes]
     assert {"u1", "u2"} <= set(labels)
 
 
@@ -104,9 +107,9 @@ def test_the_region_is_drawn_large_with_its_slice_and_its_shadow(default_design)
     """However small the level: the picture follows the region, which the domain would swallow."""
     bottom = default_design.V(default_design.z_bar)
     for level in (bottom + 1e-5, certify(default_design).level):
-        starts = figures.region_boundary(default_design, level)
+        starts = region_boundary(default_design, level)
         assert len(starts) == 12
-        figure = figures.region_figure(default_design, level, [simulate(default_design, starts[0])])
+        figure = region_figure(default_design, level, [simulate(default_design, starts[0])])
         (axis,) = figure.axes
         curve = next(xy for label, xy in lines_of(axis).items() if label.startswith("proved"))
         low, high = np.transpose([axis.get_xlim(), axis.get_ylim()])
@@ -135,15 +138,15 @@ def test_a_pole_in_the_domain_is_left_out_of_every_figure(tmp_path):
     (tmp_path / "pole.py").write_text(POLE, encoding="utf-8")
     made = solve(problem(load_model(tmp_path / "pole.py"), "q=1"))
     certificate = certify(made)
-    flat = figures.lyapunov_figure(made).axes[1]
+    flat = lyapunov_figure(made).axes[1]
     assert np.isfinite(np.concatenate([c.levels for c in flat.collections])).all()
-    starts = figures.region_boundary(made, certificate.level, certificate.reach)
+    starts = region_boundary(made, certificate.level, certificate.reach)
     inside = [simulate(made, x, made.xi_star, points=51) for x in starts]
-    figure = figures.region_figure(made, certificate.level, inside, certificate.reach)
+    figure = region_figure(made, certificate.level, inside, certificate.reach)
     (axis,) = figure.axes
     edge = next(patch for patch in axis.patches if "seen over" in patch.get_label())
     assert edge.get_xy()[:, 0].max() < 4
-    pictures = [figure, figures.lyapunov_figure(made), figures.responses_figure(made, inside)]
+    pictures = [figure, lyapunov_figure(made), responses_figure(made, inside)]
     pictures.append(landscape_figure(made, certificate))
     for picture in pictures:
         assert drawn(picture).startswith(b"\x89PNG")
@@ -151,7 +154,7 @@ def test_a_pole_in_the_domain_is_left_out_of_every_figure(tmp_path):
 
 def sweep(proved=(0.3, 0.2, 0.1), simulated=(1.0, 1.0, 0.9)):
     return [
-        figures.SweepPoint(a, 1e-3, 1e-4, 1e-3 / (a - 1e-3), 3e-4, share, converges)
+        SweepPoint(a, 1e-3, 1e-4, 1e-3 / (a - 1e-3), 3e-4, share, converges)
         for a, share, converges in zip((0.1, 0.5, 1.0), proved, simulated, strict=True)
     ]
 
@@ -161,7 +164,7 @@ def lines_of(axis) -> dict[str, np.ndarray]:
 
 
 def test_the_sweep_shows_distance_and_both_bounds(default_design):
-    upper, _ = figures.sweep_figure(default_design, sweep()).axes
+    upper, _ = sweep_figure(default_design, sweep()).axes
     assert len(upper.lines) == 3
     assert all(list(xy[:, 0]) == [0.1, 0.5, 1.0] for xy in lines_of(upper).values())
     assert upper.get_yscale() == "log"
@@ -170,7 +173,7 @@ def test_the_sweep_shows_distance_and_both_bounds(default_design):
 def test_a_distance_of_zero_has_a_place_on_the_logarithmic_axis(default_design):
     """In the band below one rounding of z*, not at a number that was never measured."""
     points = [replace(point, distance=0.0, loss=0.0, bound_paper=0.0) for point in sweep()]
-    upper, _ = figures.sweep_figure(default_design, points).axes
+    upper, _ = sweep_figure(default_design, points).axes
     (band,) = upper.patches
     rounding = np.spacing(np.linalg.norm(default_design.z_star))
     low, high = band.get_y(), band.get_y() + band.get_height()
@@ -180,7 +183,7 @@ def test_a_distance_of_zero_has_a_place_on_the_logarithmic_axis(default_design):
 
 
 def test_the_sweep_shows_the_proved_share_beside_the_simulated_one(default_design):
-    figure = figures.sweep_figure(default_design, sweep())
+    figure = sweep_figure(default_design, sweep())
     lower = figure.axes[1]
     lines = lines_of(lower)
     (proved,) = (xy for label, xy in lines.items() if "proved" in label)
@@ -194,35 +197,33 @@ def test_the_sweep_shows_the_proved_share_beside_the_simulated_one(default_desig
 
 def test_where_no_region_is_proved_a_cross_says_so(default_design):
     """No value is invented: the line has a gap and the cross lies on the axis."""
-    figure = figures.sweep_figure(default_design, sweep((0.3, None, 0.1), (None, 1.0, 1.0)))
+    figure = sweep_figure(default_design, sweep((0.3, None, 0.1), (None, 1.0, 1.0)))
     lines = lines_of(figure.axes[1])
     np.testing.assert_array_equal(lines["no region proved"], [[0.5, 0.0]])
     (proved,) = (xy for label, xy in lines.items() if "in the proved" in label)
     assert list(np.isnan(proved[:, 1])) == [False, True, False]
     assert drawn(figure).startswith(b"\x89PNG")
-    nothing = figures.sweep_figure(default_design, sweep((None,) * 3, (None,) * 3))
+    nothing = sweep_figure(default_design, sweep((None,) * 3, (None,) * 3))
     assert list(lines_of(nothing.axes[1])) == ["no region proved"]
 
 
 def test_small_shares_are_told_apart(default_design):
-    figure = figures.sweep_figure(default_design, sweep((3e-5, 1e-5, 1e-9)))
+    figure = sweep_figure(default_design, sweep((3e-5, 1e-5, 1e-9)))
     assert figure.axes[1].get_yscale() == "log"
 
 
 def test_the_sweep_says_where_a_is_out_of_reach(default_design):
-    labels = [
-        patch.get_label() for patch in figures.sweep_figure(default_design, sweep()).axes[0].patches
-    ]
+    labels = [patch.get_label() for patch in sweep_figure(default_design, sweep()).axes[0].patches]
     assert "a above a_max" not in labels  # a_max = 1 for the pendulum
     points = [replace(point, a=2 * point.a) for point in sweep()]
-    for axis in figures.sweep_figure(default_design, points).axes:
+    for axis in sweep_figure(default_design, points).axes:
         (band,) = (patch for patch in axis.patches if patch.get_label() == "a above a_max")
         assert band.get_x() == pytest.approx(default_design.verdict.a_max)
 
 
 def test_written_whole(default_design, response, tmp_path):
     path = tmp_path / "figures" / "responses.png"
-    write_figure(figures.responses_figure(default_design, [response]), path)
+    write_figure(responses_figure(default_design, [response]), path)
     assert path.read_bytes().startswith(b"\x89PNG")
     assert [p.name for p in path.parent.iterdir()] == ["responses.png"]
 
@@ -233,18 +234,18 @@ def test_a_state_that_does_not_move_is_drawn_at_rest(default_design, response):
     still[1:] += 1e-13 * np.arange(1, len(still))
     z = np.column_stack([response.z[:, 0], still, response.z[:, 2]])
     size = default_design.sizes.state[1]
-    axis = figures.responses_figure(default_design, [replace(response, z=z)]).axes[1]
+    axis = responses_figure(default_design, [replace(response, z=z)]).axes[1]
     assert np.ptp(axis.get_ylim()) == pytest.approx(0.2 * size)
     assert np.mean(axis.get_ylim()) == pytest.approx(default_design.z_star[1])
     travel = default_design.z_star[1] + 1e7 * (still - still[0])
     z = np.column_stack([response.z[:, 0], travel, response.z[:, 2]])
-    moved = figures.responses_figure(default_design, [replace(response, z=z)]).axes[1]
+    moved = responses_figure(default_design, [replace(response, z=z)]).axes[1]
     assert np.ptp(moved.get_ylim()) < 1e-3 * size
 
 
 def test_a_state_of_the_controller_that_does_not_move_has_no_panel(default_design, response):
     z = np.column_stack([response.z[:, :2], np.full(len(response.t), default_design.z_star[2])])
-    shown = figures.shown_over_time(default_design, [replace(response, z=z)])
+    shown = shown_over_time(default_design, [replace(response, z=z)])
     assert shown == ["q", "p", "u", "V"]
 
 
@@ -288,7 +289,7 @@ def test_what_ends_the_region_is_marked(default_design):
     obstacle, proved = certificate.obstacle, (certificate.level, [], certificate.reach)
     for at, marked in ((obstacle.at, True), ({**obstacle.at, "q": 1.0, "p": 0.1}, False)):
         shown = replace(obstacle, at=at)
-        (axis,) = figures.region_figure(default_design, *proved, shown).axes
+        (axis,) = region_figure(default_design, *proved, shown).axes
         places = [xy for label, xy in lines_of(axis).items() if label.startswith("ends Ω")]
         assert len(places) == marked
         for place in places:

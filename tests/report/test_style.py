@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from necc_casadi.report import figures
+from necc_casadi.report.region_figure import lyapunov_figure
 from necc_casadi.report.style import inline_svg, picture, styled, write_figure
 from necc_casadi.report.ticks import engineering, rounded
 
 
 def fresh(design):
     with styled():
-        return figures.lyapunov_figure(design)
+        return lyapunov_figure(design)
 
 
 @pytest.mark.parametrize("kind", ["png", "pdf", "svg"])

@@ -10,7 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from necc_casadi.report.findings import attracts, region_claim
-from necc_casadi.report.to_text import rounded_down, summary
+from necc_casadi.report.to_text import summary
+from necc_casadi.report.values import rounded_down
 
 
 def block(found, width=98) -> list[str]:

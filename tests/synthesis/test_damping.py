@@ -118,6 +118,7 @@ def test_given_damping_is_kept_and_the_other_fits_it(made_for):
     assert -spectrum.real.max() >= 0.9 * rates.max()
 
 
+@pytest.mark.slow
 def test_modes_that_no_damping_reaches_are_ignored(made_for):
     """Symmetric chain: the outer masses swing for ever; the other modes decay as fast as can be."""
     made = made_for("symmetric_chain", "q2=1")

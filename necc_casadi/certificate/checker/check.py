@@ -37,6 +37,7 @@ from necc_casadi.certificate.checker.reading import (
     unreadable,
 )
 from necc_casadi.certificate.checker.region.region import check_region, region_proof
+from necc_casadi.certificate.checker.sampled.disturbed import check_disturbed
 from necc_casadi.certificate.checker.sampled.sampled import check_sampled
 from necc_casadi.certificate.checker.setpoints import check_setpoints
 
@@ -155,5 +156,8 @@ def _everything(evidence: Evidence, plant_file: Callable[[], str | None]) -> lis
     fed = check_momenta(evidence, all(part.holds for part in decrease), plant_file)
     results += [claim for claim in (integral, moving, fed) if claim is not None]
     if evidence.claimed("sampled"):
-        results.append(check_sampled(evidence, sound))
+        sampled = check_sampled(evidence, sound)
+        results.append(sampled)
+        if evidence.claimed("disturbed"):
+            results.append(check_disturbed(evidence, sampled.holds))
     return results

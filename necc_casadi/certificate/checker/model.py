@@ -118,7 +118,8 @@ class StoredDesign:
         self.xi_star = divided(numbers(data["xi_star"]), self.units.state[self.n :])
         u = scale.input
         self.damping = self._damping(data, u)
-        self.weights = divided(numbers(data["weights"]), scale.weights)
+        self.casimir_units, self.stated_weights = scale.casimir, numbers(data["weights"])
+        self.weights = divided(self.stated_weights, scale.weights)
         self.integral = StoredIntegral(data["integral"], scale) if "integral" in data else None
         #: Coordinate → ends of the range of its set-point, as texts in the units of the model.
         self.setpoints = {

@@ -11,6 +11,7 @@ from typing import Any
 from necc_casadi.certificate.claims import statements
 from necc_casadi.certificate.claims.claim import CERTIFICATE_FILE, CERTIFICATE_FORMAT, Claim
 from necc_casadi.certificate.claims.curved import CurvedRegion
+from necc_casadi.certificate.claims.disturbed import DisturbedRegion
 from necc_casadi.certificate.claims.fields import read_as
 from necc_casadi.certificate.claims.regions import (
     Lyapunov,
@@ -34,7 +35,7 @@ _ASKED = {"region", "measurement", "integral", "local_integral", "setpoints", "f
 class Certificate:
     """What is proved about a design, for the continuous-time, unsaturated loop.
 
-    A claim `sampled` is about the loop of the C code.
+    Claims `sampled` and `disturbed` are about the loop of the C code.
 
     Every claim is about the V of the stored weights, read as exact binary numbers
     (docs/certificate-format.md).
@@ -98,6 +99,12 @@ class Certificate:
         """The region of the sampled loop, natural units; None: none is proved."""
         held = (c for c in self.claims if c.name == "sampled" and c.holds)
         return next((SampledRegion.read(claim.data) for claim in held), None)
+
+    @property
+    def disturbed(self) -> DisturbedRegion | None:
+        """Where that loop stays under disturbances, natural units; None: nothing is proved."""
+        held = (c for c in self.claims if c.name == "disturbed" and c.holds)
+        return next((DisturbedRegion.read(claim.data) for claim in held), None)
 
     @property
     def limited_by(self) -> str | None:

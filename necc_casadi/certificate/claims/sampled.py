@@ -13,7 +13,7 @@ from typing import Any, Literal
 from necc_casadi.certificate.claims.fields import read_as
 from necc_casadi.certificate.claims.regions import Rows, Side
 
-__all__ = ["BEYOND", "KEPT", "SPLIT", "Method", "SampledRegion", "packed_tree", "walk"]
+__all__ = ["BEYOND", "KEPT", "SPLIT", "Method", "SampledRegion", "packed_tree", "unpacked", "walk"]
 
 
 #: How ξ is advanced over a sample.
@@ -42,6 +42,7 @@ class SampledRegion:
     height: float  # w₀ − V(z̄) is at least this
     box: tuple[Side, ...]  # W > w₀ on its sides
     core: tuple[Side, ...]  # around z̄, with ∇²V ≻ 0
+    clipped: bool  # whether limits of u may clip it somewhere in {W ≤ w₀}
     tree: str  # see `packed_tree`
 
     @cached_property
@@ -53,11 +54,7 @@ class SampledRegion:
         ValueError
             When they do not unpack.
         """
-        unpacker = zlib.decompressobj()
-        data = unpacker.decompress(base64.b64decode(self.tree, validate=True), MOST_NODES + 1)
-        if len(data) > MOST_NODES or not data:
-            raise ValueError("the boxes of the sampled region are not what they should be")
-        return data
+        return unpacked(self.tree)
 
     @cached_property
     def leaves(self) -> tuple[tuple[Cell, int], ...]:
@@ -96,6 +93,21 @@ class SampledRegion:
 def packed_tree(nodes: bytes) -> str:
     """The nodes of a tree as text: compressed, base 64."""
     return base64.b64encode(zlib.compress(nodes, 9)).decode()
+
+
+def unpacked(tree: str) -> bytes:
+    """The nodes of a tree from its text.
+
+    Raises
+    ------
+    ValueError
+        When they do not unpack.
+    """
+    unpacker = zlib.decompressobj()
+    data = unpacker.decompress(base64.b64decode(tree, validate=True), MOST_NODES + 1)
+    if len(data) > MOST_NODES or not data:
+        raise ValueError("the boxes of the sampled region are not what they should be")
+    return data
 
 
 def walk(root: Cell, nodes: Sequence[int]) -> Iterator[tuple[Cell, int]]:

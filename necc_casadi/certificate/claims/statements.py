@@ -12,8 +12,10 @@ from collections.abc import Mapping, Sequence
 from decimal import ROUND_CEILING, ROUND_FLOOR, Decimal
 from typing import Literal, get_args
 
+from necc_casadi.certificate.claims.disturbed import DisturbedRegion
 from necc_casadi.certificate.claims.motions import Follows
 from necc_casadi.certificate.claims.regions import MOST_KEPT, Obstacle, ObstacleKind
+from necc_casadi.certificate.claims.rounding import LIBRARY
 from necc_casadi.certificate.claims.sampled import Method, SampledRegion
 from necc_casadi.certificate.claims.units import Units
 
@@ -43,12 +45,15 @@ __all__ = [
     "STRUCTURE",
     "TOO_MANY",
     "Missing",
+    "NotDisturbed",
     "NotEverywhere",
     "NotSampled",
     "attraction",
     "casimir",
     "clipping",
     "conserved",
+    "disturbed",
+    "disturbed_is_not_covered",
     "equilibrium",
     "input_limits",
     "integral",
@@ -211,6 +216,16 @@ NotSampled = Literal[
     "only Euler's and Heun's methods are covered",
     "the structure of the controller depends on its states",
     "no region is proved for the sample time asked for",
+]
+
+
+#: What may be missing for a claim about it under rounding, noise and delay.
+NotDisturbed = Literal[
+    "the law that the C code computes is not of the kind that is covered",
+    "the law has an operation whose rounding is not known",
+    "with a delay of one sample no function is found that falls",
+    "near the minimum the disturbances are as large as what they are to leave",
+    "no region is proved from which solutions come near the minimum",
 ]
 
 
@@ -404,6 +419,7 @@ def unproved(limits: Sequence[Sequence[float]]) -> Mapping[str, frozenset[str]]:
         ),
         "integral": frozenset([INTEGRAL_IS_NOT_COVERED, INTEGRAL_IS_TOO_SMALL, NO_INTEGRAL]),
         "sampled": frozenset(map(sampled_is_not_covered, get_args(NotSampled))),
+        "disturbed": frozenset(map(disturbed_is_not_covered, get_args(NotDisturbed))),
     }
 
 
@@ -458,7 +474,10 @@ def sampled(
         f"{name} in [{_up(lo * unit, 6)}, {_down(hi * unit, 6)}]"
         for name, (lo, hi), unit in list(zip(states, region.box, units.state, strict=True))[:_TOLD]
     )
-    inputs = "u is not clipped" if not limits else f"u stays within {ranges(limits)} there"
+    inputs = f"u stays within {ranges(limits)} there" if limits else "u is not clipped"
+    if region.clipped:
+        inputs = f"u is clipped to {ranges(limits)}, as the code does"
+    too = ", u clipped too," if region.clipped else ""
     more = ", …" if len(states) > _TOLD else ""
     return (
         f"for every sequence of sampling periods in (0, {period}] s whose sum is infinite, every "
@@ -468,7 +487,55 @@ def sampled(
         "½∇VᵀQ∇V with the Q of certificate.json; exact arithmetic, x measured without error, no "
         f"delay; at each sample {_ADVANCED[region.integrator]} advances ξ over the time since the "
         f"last one, with the x of that one, then u is computed and held; {inputs}. In continuous "
-        "time every solution from Ω_T converges to z̄ as well, exponentially"
+        f"time{too} every solution from Ω_T converges to z̄ as well, exponentially"
+    )
+
+
+def disturbed(
+    found: DisturbedRegion, states: Sequence[str], inputs: Sequence[str], units: Units,
+    input_units: Sequence[float],
+) -> str:  # fmt: skip
+    """Of where the sampled loop comes to and stays, under what is assumed of its disturbances."""
+    periods = f"[{_up(found.shortest * units.time, 6)}, {_down(found.period * units.time, 6)}] s"
+    noise = _within(states, found.noise, units.state)
+    measured = (
+        f"measured {noise}, then rounded" if noise else "x measured without error but rounded"
+    )
+    applied = _within(inputs, found.input_error, input_units) or "u applied as it is computed"
+    start = f"{{W − V(z̄) < {_down(found.height * units.energy, 6)}}}"
+    limit = _up(found.above * units.energy, 3)
+    late = ""
+    if found.delay is not None:
+        start = start.replace("W", "S", 1)
+        late = (
+            ", and one sample after it was computed, where S = W + "
+            f"{_up(found.delay * found.period, 3)}|e|² in natural units, e what is applied over "
+            "the first sample less the u of the law"
+        )
+    pairs = zip(states, found.radius, units.state, strict=False)
+    radii = ", ".join(f"{name} ± {_up(r * unit, 3)}" for name, r, unit in pairs)
+    return (
+        f"for every sequence of sampling periods in {periods}, in the C code's arithmetic in "
+        f"{found.precision}, {measured}, {applied}{late}: every solution from {start} in Ω_T of "
+        "the sampled loop is in Ω_T at every sample, after finitely many comes into {W − V(z̄) < "
+        f"{limit}}} and stays there, within {radii} of z̄. Assumed: IEEE arithmetic, rounded to "
+        "nearest, without overflow; dt is the period rounded to its type; functions of the C "
+        f"library err by at most {LIBRARY:g} units in the last place, the code's own activations "
+        "by no more than was measured of them (docs/certificate-format.md)"
+    )
+
+
+def disturbed_is_not_covered(missing: NotDisturbed) -> str:
+    """Where nothing is proved of the sampled loop under disturbances."""
+    return f"nothing is claimed of rounding, noise and delay: {missing}"
+
+
+def _within(names: Sequence[str], sizes: Sequence[float], units: Sequence[float]) -> str:
+    """Errors other than 0, by name."""
+    return ", ".join(
+        f"{name} within ±{_down(size * unit, 6)}"
+        for name, size, unit in zip(names, sizes, units, strict=False)
+        if size > 0
     )
 
 

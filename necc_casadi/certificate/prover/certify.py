@@ -12,6 +12,7 @@ from necc_casadi.cases import Integrator
 from necc_casadi.certificate.claims import statements
 from necc_casadi.certificate.claims.certificate import Certificate
 from necc_casadi.certificate.claims.claim import Claim
+from necc_casadi.certificate.claims.disturbed import Disturbances, DisturbedRegion
 from necc_casadi.certificate.claims.motions import Solutions
 from necc_casadi.certificate.claims.regions import (
     MOST_KEPT,
@@ -35,6 +36,7 @@ from necc_casadi.certificate.prover.local_integral import prove_local_integral
 from necc_casadi.certificate.prover.measurement import prove_measurement
 from necc_casadi.certificate.prover.region.proof import RegionProof
 from necc_casadi.certificate.prover.region.region import prove_region, prove_region_within_limits
+from necc_casadi.certificate.prover.sampled.disturbed import prove_disturbed
 from necc_casadi.certificate.prover.sampled.prove import prove_sampled
 from necc_casadi.certificate.prover.setpoints import prove_setpoints
 from necc_casadi.certificate.prover.solutions import what_follows
@@ -48,6 +50,9 @@ __all__ = ["certify", "units_of", "with_sampled_loop"]
 
 Report = Callable[[str, float], None]
 
+#: Rounding in double alone.
+_NONE = Disturbances()
+
 #: Coordinates of an obstacle that are smaller, in natural units, are 0; a pole is sought within
 #: this share of the region's reach.
 _NOTHING, _BESIDE = 1e-9, 0.1
@@ -59,6 +64,7 @@ def certify(
     region: bool = True,
     sample_time: float | None = None,
     integrator: Integrator = "heun",
+    disturbances: Disturbances = _NONE,
     report: Report | None = None,
     plants: Plants | None = None,
     disturbance: Sequence[Range] = (),
@@ -75,6 +81,8 @@ def certify(
         Sampling periods (s) up to which the sampled loop is to be proved as well.
     integrator
         How ξ is advanced over one.
+    disturbances
+        Under which it is to come to z̄ and stay near: the C code's numbers, noise, delay.
     report
         Called with the stage at hand and the share that is done.
     plants
@@ -128,13 +136,17 @@ def certify(
         told("region", 1.0)
     if sample_time is not None:
         told("sampled", 0.0)
-        certificate = with_sampled_loop(design, certificate, sample_time, integrator)
+        certificate = with_sampled_loop(design, certificate, sample_time, integrator, disturbances)
         told("sampled", 1.0)
     return certificate
 
 
 def with_sampled_loop(
-    design: Design, certificate: Certificate, sample_time: float, integrator: Integrator
+    design: Design,
+    certificate: Certificate,
+    sample_time: float,
+    integrator: Integrator,
+    disturbances: Disturbances = _NONE,
 ) -> Certificate:
     """The certificate with what is proved of the loop that the C code makes.
 
@@ -144,19 +156,33 @@ def with_sampled_loop(
         The period (s) up to which it is to converge whatever the periods are.
     integrator
         How ξ is advanced over one.
+    disturbances
+        Under which it is to come to z̄ and stay near.
 
     References
     ----------
-    docs/theory.md#sampled-loop.
+    docs/theory.md#sampled-loop, #rounding-noise-and-delay.
     """
     found = prove_sampled(design, certificate, sample_time, integrator)
     if isinstance(found, SampledRegion):
         limits = design.loop.plant.u_limits or ()
         text = statements.sampled(found, design.loop.states, units_of(design), limits)
         claim = Claim("sampled", True, text, found.data)
-    else:
-        claim = Claim("sampled", False, statements.sampled_is_not_covered(found))
-    return replace(certificate, claims=(*certificate.claims, claim))
+        near = _disturbed(design, found, sample_time, disturbances)
+        return certificate.having(claim, near)
+    return certificate.having(Claim("sampled", False, statements.sampled_is_not_covered(found)))
+
+
+def _disturbed(
+    design: Design, region: SampledRegion, sample_time: float, disturbances: Disturbances
+) -> Claim:
+    """What is proved of the same loop under rounding, noise and delay."""
+    found = prove_disturbed(design, region, sample_time, disturbances)
+    if not isinstance(found, DisturbedRegion):
+        return Claim("disturbed", False, statements.disturbed_is_not_covered(found))
+    names, units = (design.loop.states, design.loop.plant.input_names), units_of(design)
+    text = statements.disturbed(found, *names, units, list(map(float, design.units.input)))
+    return Claim("disturbed", True, text, found.data)
 
 
 def _local(

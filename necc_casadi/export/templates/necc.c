@@ -52,7 +52,7 @@ void necc_control(const necc_real x[NECC_NX], const necc_real xi[NECC_NXI],
     control_law(x, xi, @law_arguments@, u, xidot);
 }
 
-/* xi' alone. */
+/* @rate_of@ */
 static void rate(const necc_real x[NECC_NX], const necc_real xi[NECC_NXI],
                  necc_real xidot[NECC_NXI])
 {
@@ -100,34 +100,7 @@ static void accumulate(necc_real *sum, necc_real *rest, necc_real change)
 }
 
 @integral@
-int necc_update(necc_state *state, necc_real dt)
-{
-    necc_state next;
-    necc_real change[NECC_NXI];
-    int i;
-    if (!(dt >= R(0.0)) || !isfinite(dt) || all_finite(state->xi, NECC_NXI) == 0) {
-        return NECC_REJECTED;
-    }
-    if (state->sampled == 0) {
-        return NECC_OK;
-    }
-    next = *state;
-    if (next.moved != 0) {
-        rate(next.x, next.xi, next.xidot);
-    }
-    advance(&next, dt, change);
-    for (i = 0; i < NECC_NXI; ++i) {
-        accumulate(&next.xi[i], &next.xi_rest[i], change[i]);
-    }
-    next.moved = 1;
-    @integrate@
-    if (all_finite(next.xi, NECC_NXI) == 0) {
-        return NECC_REJECTED;
-    }
-    *state = next;
-    return NECC_OK;
-}
-
+@update@
 static void no_input(necc_real u[NECC_NU])
 {
     int i;
@@ -138,19 +111,20 @@ static void no_input(necc_real u[NECC_NU])
 
 int necc_output(necc_state *state, const necc_real x[NECC_NX], necc_real u[NECC_NU])
 {
+    necc_state next;
     necc_real v[NECC_NU], xidot[NECC_NXI];@counter@@held@
     no_input(u);
     if (all_finite(x, NECC_NX) == 0 || all_finite(state->xi, NECC_NXI) == 0) {
         return NECC_REJECTED;
     }
-    @see@necc_control(@at@, state->xi, v, xidot);@subtract@@forward@
+    next = *state;
+    @see@@arrive@necc_control(@at@, next.xi, v, xidot);@subtract@@forward@
     if (all_finite(v, NECC_NU) == 0 || all_finite(xidot, NECC_NXI) == 0) {
         return NECC_REJECTED;
     }
-    (void)memcpy(state->x, @at@, sizeof state->x);
-    (void)memcpy(state->xidot, xidot, sizeof xidot);
-    state->sampled = 1;
-    state->moved = 0;
+    (void)memcpy(next.x, @at@, sizeof next.x);@remember@
+    next.sampled = 1;
+    *state = next;
     (void)memcpy(u, v, sizeof v);
     return @saturate@;
 }

@@ -35,10 +35,8 @@ typedef @real@ necc_real;
 typedef struct {
     necc_real xi[NECC_NXI];@zeta@@r@
     necc_real x[NECC_NX]; /* of the last sample, as the law takes it */
-    necc_real xidot[NECC_NXI]; /* at (x, xi) of the last sample */
-    necc_real xi_rest[NECC_NXI]; /* what rounding leaves of xi: its value is xi + xi_rest */@zeta_rest@
-    int sampled; /* 0 before the first sample */
-    int moved; /* whether xi has been advanced since xidot */
+@members@@zeta_rest@
+    int sampled; /* 0 before the first sample */@moved@
 } necc_state;
 
 /* Flags that a function returns, added; 0 when there is nothing to report. */
@@ -67,10 +65,7 @@ void necc_control(const necc_real x[NECC_NX], const necc_real xi[NECC_NXI],
 /* u from the measured x and the present xi: apply it until the next sample. */
 int necc_output(necc_state *state, const necc_real x[NECC_NX], necc_real u[NECC_NU]);
 
-/* xi advances over dt with the x of the last sample held (@integrator_name@); before the
- * first sample nothing does. The dynamics of xi use x alone, so that a clipped u does not wind
- * them up. What rounding takes away from xi is kept and added the next time. One call for each
- * period: what is proved of the sampled loop is not proved of several. */
+@update_text@
 int necc_update(necc_state *state, necc_real dt);
 
 /* One sample: necc_update over dt, then necc_output. dt is the time since the last sample, 0 at the

@@ -45,6 +45,7 @@ static void check_halves(const necc_vector *v, const necc_state *stepped)
     check(flags == v->flags, "flags of necc_output");
     compare(u, v->input, v->u_scale, NECC_NU);
     check(necc_update(&state, v->dt) == NECC_OK, "necc_update");
+    check(!(necc_output(&state, necc_vectors[0].x, u) & NECC_REJECTED), "next necc_output");
     for (i = 0; i < NECC_NXI; ++i) {
         check(!(state.xi[i] < stepped->xi[i] || state.xi[i] > stepped->xi[i]), "halves of a step");
     }

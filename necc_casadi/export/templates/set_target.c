@@ -23,7 +23,7 @@ int necc_set_target(necc_state *state, const necc_real x[NECC_NX], const necc_re
         return NECC_OK;
     }
     (void)memcpy(kept, state->r, sizeof kept);
-    (void)memcpy(kept_xi, state->xi, sizeof kept_xi);
+    present_xi(state, x, kept_xi);
     for (halvings = 0; halvings < 24; ++halvings) {
         step *= R(0.5);
         for (i = 0; i < NECC_NR; ++i) {

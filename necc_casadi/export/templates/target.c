@@ -98,12 +98,24 @@ static int bumpless(const necc_real before[NECC_NX], const necc_real at[NECC_NX]
     return 0;
 }
 
+static int same(const necc_real *a, const necc_real *b, int count)
+{
+    int i;
+    for (i = 0; i < count; ++i) {
+        if (!(a[i] >= b[i] && a[i] <= b[i])) {
+            return 0;
+        }
+    }
+    return 1;
+}
+
+@take@
 /* Whether r@comma_theta@ may be taken at x, and with which xi. */
 static int admits(const necc_state *state, const necc_real x[NECC_NX],
                   const necc_real r[NECC_NR]@theta_parameter@, necc_real xi[NECC_NXI])
 {
     necc_real at[NECC_NX];
-    (void)memcpy(xi, state->xi, sizeof state->xi);
+    present_xi(state, x, xi);
     seen(x, r, at);
     if (state->how == NECC_SWITCH_BUMPLESS) {
         necc_real before[NECC_NX], added[NECC_NU], now[NECC_NU];
@@ -123,31 +135,6 @@ static int admits(const necc_state *state, const necc_real x[NECC_NX],
         /* xi stays */
     }
     return share_of_level(at, xi, r@theta@) <= R(1.0);
-}
-
-static int same(const necc_real *a, const necc_real *b, int count)
-{
-    int i;
-    for (i = 0; i < count; ++i) {
-        if (!(a[i] >= b[i] && a[i] <= b[i])) {
-            return 0;
-        }
-    }
-    return 1;
-}
-
-/* r and xi are taken at x. Where xi jumps, it goes on from there: nothing that rounding left of the
- * old one is added to it, and its rate is that of what the law sees now. */
-static void take(necc_state *state, const necc_real x[NECC_NX], const necc_real r[NECC_NR],
-                 const necc_real xi[NECC_NXI])
-{
-    if (same(xi, state->xi, NECC_NXI) == 0) {
-        (void)memcpy(state->xi, xi, sizeof state->xi);
-        (void)memset(state->xi_rest, 0, sizeof state->xi_rest);
-        seen(x, r, state->x);
-        state->moved = 1;
-    }
-    (void)memmove(state->r, r, sizeof state->r);
 }
 
 void necc_set_switch(necc_state *state, int how)

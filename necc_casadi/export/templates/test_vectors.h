@@ -18,7 +18,7 @@ typedef struct {
     double u[NECC_NU];         /* of necc_control */
     double xidot[NECC_NXI];    /* of necc_control */
     double input[NECC_NU];     /* of necc_step: u within its limits */
-    double next[NECC_NXI];     /* xi at the next sample, dt later */
+    double next[NECC_NXI];     /* xi at the next sample, dt later and with the first vector's x */
     double u_scale[NECC_NU], xidot_scale[NECC_NXI], next_scale[NECC_NXI];
     int flags;                 /* of necc_step at the first */
 } necc_vector;

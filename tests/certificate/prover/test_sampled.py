@@ -1,20 +1,26 @@
 """The sampled loop: Π against what a step does, and {W < w₀} against responses."""
 
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 import pytest
-from helpers.sampled import sampled_step
+from helpers.sampled import held_input, limited_around, plant_after, sampled_step, with_limits
 from hypothesis import given
 from hypothesis import strategies as st
 
 from necc_casadi.certificate.claims.sampled import walk
-from necc_casadi.certificate.prover.arithmetic.affine import affine_matrices, negative_definite
+from necc_casadi.certificate.prover.arithmetic.affine import (
+    Affine,
+    affine_matrices,
+    negative_definite,
+)
 from necc_casadi.certificate.prover.arithmetic.intervals import Interval
 from necc_casadi.certificate.prover.arithmetic.potential import Potential
 from necc_casadi.certificate.prover.certify import certify, with_sampled_loop
 from necc_casadi.certificate.prover.sampled import prove
 from necc_casadi.certificate.prover.sampled.step import Step
+from necc_casadi.export.compiled import compile_controller
 
 T = 0.04
 #: Designs with Φ = H + Hc + C; a neural Φ is refused in words.
@@ -70,6 +76,27 @@ def test_products_of_affine_matrices_hold_their_members(seed):
     assert not (negative_definite(A) & (lowest >= 0)).any()
 
 
+@given(st.integers(0, 10_000))
+def test_what_is_found_definite_is_so_for_the_worst_signs(seed):
+    """All signs of five parts; at a size where it is often found, and often not."""
+    rng = np.random.default_rng(seed)
+    parts = rng.normal(size=(5, 3, 3)) * rng.uniform(0.02, 0.3)
+    parts = parts + parts.transpose(0, 2, 1)
+    A = Affine(-np.eye(3)[None] * 1.2, parts[None], np.full((1, 3, 3), 1e-3))
+    signs = np.array(list(product([-1, 1], repeat=5)))
+    worst = np.linalg.eigvalsh(A.center[0] + np.einsum("sk,kij->sij", signs, parts))[:, -1].max()
+    assert not negative_definite(A)[0] or worst < 0
+
+
+def test_parts_that_act_apart_do_not_add_up():
+    """−I + diag(±0.9, ±0.9, ±0.9): each alone would leave 0.1, their lengths together exceed 1."""
+    parts = 0.9 * np.eye(3)[:, :, None] * np.eye(3)[:, None, :]
+    turn = np.linalg.qr(np.random.default_rng(0).normal(size=(3, 3)))[0]
+    A = Affine(-np.eye(3)[None], (turn @ parts @ turn.T)[None], np.zeros((1, 3, 3)))
+    assert negative_definite(A)[0]
+    assert not negative_definite(Affine(A.center, 1.2 * A.parts, A.error))[0]
+
+
 def test_a_definite_matrix_is_found_definite():
     """−I ± 0.3 in each entry is; −I ± 0.4 may be singular, in (1, 1, 1)."""
     for radius, proved in ((0.3, True), (0.4, False)):
@@ -81,11 +108,18 @@ def test_a_definite_matrix_is_found_definite():
 @pytest.mark.parametrize("form", SUMS)
 @pytest.mark.parametrize("integrator", ["euler", "heun"])
 @pytest.mark.parametrize("width", [0.0, 0.2])
-def test_the_form_says_what_a_step_does_to_w(designs, form, integrator, width):
+@pytest.mark.parametrize("clipped", [False, True])
+def test_the_form_says_what_a_step_does_to_w(designs, form, integrator, width, clipped):
     """W(z⁺) − W(z) = s ∇VᵀΠ∇V, by simulation of plant and controller."""
     design = designs[form].natural
     rng, count = np.random.default_rng(3), 12
     z = design.z_bar + rng.uniform(-0.5, 0.5, (count, design.loop.n))
+    if clipped:
+        n = design.loop.plant.n
+        z[:, n:] = design.z_bar[n:] + 0.1 * (z[:, n:] - design.z_bar[n:])
+        design = limited_around(design, z, 0.1)
+        asked, held = design.control(z[:, :n], z[:, n:])[0], held_input(design, z)[0]
+        assert (asked != held).mean() > 0.2
     s = rng.uniform(0, 0.1, count)
     Q = rng.normal(size=(design.loop.n,) * 2) * 0.2
     Q = Q + Q.T
@@ -101,9 +135,19 @@ def test_the_form_says_what_a_step_does_to_w(designs, form, integrator, width):
     said = s * np.einsum("bi,bij,bj->b", g, form.center, g)
     parts = np.abs(np.einsum("bi,bkij,bj->bk", g, form.parts, g)).sum(1)
     slack = s * (parts + np.einsum("bi,bij,bj->b", np.abs(g), form.error, np.abs(g)))
-    assert (np.abs(change - said) <= slack + 1e-12).all()
+    known = ~np.isnan(sample.shares.lo).any(-1)  # a wide box may reach beyond the limits
+    assert (np.abs(change - said)[known] <= slack[known] + 1e-12).all()
     if width == 0.0:  # and the enclosure is worth something
+        assert known.all()
         assert np.median(slack) < 0.3 * np.median(np.abs(change))
+
+
+def test_nothing_is_said_where_the_law_without_damping_is_beyond_the_limits(default_design):
+    design = with_limits(default_design.natural, [(-0.1, 0.1)])  # u holds with 0.7 at z̄
+    z = design.z_bar[None]
+    sample = Step(Potential(design), "heun").over(Interval(z, z), Interval(*np.zeros((2, 1))))
+    assert np.isnan(sample.shares.lo).all()
+    assert not negative_definite(sample.form(np.zeros((3, 3)))).any()
 
 
 def test_the_sampled_loop_is_proved(certified, default_design):
@@ -155,6 +199,47 @@ def test_w_falls_at_every_step_whatever_the_periods(certified, default_design):
         before = after
 
 
+@pytest.fixture(scope="module")
+def clipped(default_design):
+    """A small region of a design whose damping alone takes u to its limits in it."""
+    limited = with_limits(default_design, [(-1.0, 1.0)])
+    return limited, up_to(limited, 0.05)
+
+
+def up_to(design, height):
+    """What is proved of the sampled loop up to a height above V(z̄), with no region beside it."""
+    certificate = replace(certify(design, region=False), level_above_minimum=height)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(prove, "_TRIALS", 0)
+        return with_sampled_loop(design, certificate, 0.01, "heun")
+
+
+@pytest.mark.slow
+def test_clipped_inputs_are_covered(clipped):
+    limited, certificate = clipped
+    region, design = certificate.sampled, limited.natural
+    (claim,) = [c for c in certificate.claims if c.name == "sampled"]
+    assert region.clipped
+    assert "u is clipped to [-1, 1]" in claim.statement
+    z, Q = starts(design, region, 300), np.array(region.metric)
+    n = design.loop.plant.n
+    assert (design.control(z[:, :n], z[:, n:])[0] != held_input(design, z)[0]).sum() > 10
+    rng, before = np.random.default_rng(1), W(design, Q, z)
+    for _ in range(20):
+        z = sampled_step(design, z, region.period * rng.uniform(0, 1, len(z)))
+        after = W(design, Q, z)
+        assert (after <= before + 1e-12).all()
+        before = after
+
+
+@pytest.mark.slow
+def test_limits_that_are_never_met_are_said_to_be_kept(default_design):
+    found = up_to(with_limits(default_design, [(-20.0, 20.0)]), 0.05)
+    (claim,) = [c for c in found.claims if c.name == "sampled"]
+    assert not found.sampled.clipped
+    assert "u stays within [-20, 20] there" in claim.statement
+
+
 @pytest.mark.slow
 def test_responses_from_the_region_converge(certified, default_design):
     design, region = default_design.natural, certified.sampled
@@ -162,6 +247,31 @@ def test_responses_from_the_region_converge(certified, default_design):
     for _ in range(1500):
         z = sampled_step(design, z, region.period * rng.uniform(0, 1, len(z)))
     assert np.linalg.norm(z - design.z_bar, axis=1).max() < 1e-3
+
+
+@pytest.mark.slow
+def test_w_falls_in_the_compiled_code_at_samples_and_between(certified, default_design):
+    """Periods of 1e-9 of the longest, the longest itself and any other; x in the projection."""
+    design, region, units = default_design.natural, certified.sampled, default_design.units
+    compiled, n = compile_controller(default_design), design.loop.plant.n
+    rng, Q, (lo, hi) = np.random.default_rng(5), np.array(region.metric), np.array(region.box).T
+
+    def sampled(z, s):
+        made = [compiled.step(row[n:], row[:n], dt) for row, dt in zip(z, s, strict=True)]
+        u, xi = (np.array([one[k] for one in made]) for k in (0, 1))
+        return np.hstack([plant_after(default_design, z[:, :n], u, s), xi])
+
+    z = starts(design, region, 400) * units.state
+    before = W(design, Q, z / units.state)
+    for _ in range(60):
+        shares = rng.uniform(size=len(z))
+        kinds = (np.full(len(z), 1e-9), np.ones(len(z)), shares, shares**6)
+        s = region.period * units.time * np.choose(rng.integers(0, 4, len(z)), kinds)
+        for each in (sampled(z, s * rng.uniform(size=len(z))), z := sampled(z, s)):
+            seen = each / units.state
+            assert (W(design, Q, seen) <= np.minimum(before + 1e-12, region.level)).all()
+            assert ((seen > lo) & (seen < hi)).all()
+        before = W(design, Q, z / units.state)
 
 
 def test_nothing_is_proved_of_periods_beyond_the_stable_ones(default_design):
@@ -173,8 +283,11 @@ def test_nothing_is_proved_of_periods_beyond_the_stable_ones(default_design):
 
 def test_what_is_not_covered_is_said(default_design, designs):
     neural = certify(designs["neural"], region=False, sample_time=0.01)
-    rk4 = certify(default_design, region=False, sample_time=0.01, integrator="rk4")
-    for found, why in ((neural, "Φ = H + Hc + C"), (rk4, "Heun")):
+    others = (
+        certify(default_design, region=False, sample_time=0.01, integrator=integrator)
+        for integrator in ("rk4", "casimir")
+    )
+    for found, why in ((neural, "Φ = H + Hc + C"), *((other, "Heun") for other in others)):
         (claim,) = [c for c in found.claims if c.name == "sampled"]
         assert not claim.holds
         assert why in claim.statement

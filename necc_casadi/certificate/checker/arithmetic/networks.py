@@ -159,16 +159,25 @@ class Net:
 
     def curvature_on_grid(self, box: Box) -> dict[tuple[int, int], arb]:
         """∇²f over pairs i ≤ j over a wide box, by cells of a grid that other boxes share."""
+        parts = [self(cell)[2] for cell in self._grid(box)]
+        return {pair: reduce(arb.union, (part[pair] for part in parts)) for pair in parts[0]}
+
+    def slope_on_grid(self, box: Box) -> list[arb]:
+        """∇f over a wide box, likewise."""
+        parts = [self(cell)[1] for cell in self._grid(box)]
+        return [reduce(arb.union, each) for each in zip(*parts, strict=True)]
+
+    def _grid(self, box: Box) -> list[Box]:
+        """Cells that hold a box, or the box where it has a side of no width."""
         most = _CELLS.get(self.d, 1)
         sides = []
         for lo, hi in box:
             if not 0 < hi - lo < math.inf:
-                return self(box)[2]
+                return [box]
             step = 2.0 ** math.ceil(math.log2((hi - lo) / most))
             cells = range(math.floor(lo / step), math.ceil(hi / step))
             sides.append([(k * step, (k + 1) * step) for k in cells])
-        parts = [self(cell)[2] for cell in product(*sides)]
-        return {pair: reduce(arb.union, (part[pair] for part in parts)) for pair in parts[0]}
+        return list(product(*sides))
 
     def curvature(self, box: Box) -> dict[tuple[int, int], arb]:
         """∇²f over pairs i ≤ j over a small box.

@@ -12,7 +12,7 @@ from flint import arb, arb_mat
 
 from necc_casadi.arrays import Vector
 from necc_casadi.certificate.checker.arithmetic.balls import ball
-from necc_casadi.certificate.checker.arithmetic.definite import middle_of
+from necc_casadi.certificate.checker.arithmetic.definite import middle_of, positive
 
 __all__ = ["Linear", "falls"]
 
@@ -119,8 +119,8 @@ def falls(A: Linear) -> bool:
     """Whether A + Aᵀ ≺ 0 for every matrix enclosed.
 
     In the axes of its middle matrix −A₀ is close to I; what is left of it and of the symmetric
-    parts Y of Aₖ is less than 1, each by the fourth root of tr Y⁴ or all by the rows of Σ|Y|, and
-    the balls of A₀ by a diagonal matrix above them.
+    parts Y of Aₖ is less than 1, all by the rows of Σ|Y|, or I − Σ VMVᵀ ≻ 0 with M = |Λ| for Y near
+    VΛVᵀ. The balls of A₀ count by a diagonal matrix above them.
     """
     if not all(v.is_finite() for row in A.center.tolist() for v in row):
         return False
@@ -131,14 +131,34 @@ def falls(A: Linear) -> bool:
     C = arb_mat((vectors / np.sqrt(values)).T.tolist())
     D = C.transpose()
     exact = arb_mat([[v.mid() for v in row] for row in A.center.tolist()])
-    total = _row_sum(_symmetric(C * exact * D) + _identity(exact.nrows()))
-    total = total + _length(C * _above(A.center, vectors / np.sqrt(values)) * D)
+    identity = _identity(exact.nrows())
+    near = _row_sum(_symmetric(C * exact * D) + identity)
+    error = C * _above(A.center, vectors / np.sqrt(values)) * D
     moved = [_symmetric(C * part * D) for part in A.parts.values()]
-    if not moved:
-        return bool(total < 1)
-    apart = sum(map(_length, moved), arb(0))
-    together = _row_sum(reduce(lambda a, b: a + b, map(_absolute, moved)))
-    return bool(total + apart < 1) or bool(total + together < 1)
+    together = near + _length(error)
+    if moved:
+        together = together + _row_sum(reduce(lambda a, b: a + b, map(_absolute, moved)))
+    if bool(together < 1):
+        return True
+    joint, left = identity - error, near
+    for Y in moved:
+        above, rest = _near_above(Y)
+        joint, left = joint - above, left + rest
+    for i in range(exact.nrows()):
+        joint[i, i] = joint[i, i] - left
+    return positive(_symmetric(joint), 0.0)
+
+
+def _near_above(Y: arb_mat) -> tuple[arb_mat, arb]:
+    """VMVᵀ with M = |Λ|, V and Λ near the spectrum of Y, and how far Y is from VΛVᵀ."""
+    values, vectors = np.linalg.eigh(middle_of(Y))
+    V = arb_mat(vectors.tolist())
+    signed, above = (
+        arb_mat([[v * float(k) for v, k in zip(row, scale, strict=True)] for row in V.tolist()])
+        * V.transpose()
+        for scale in (values, abs(values))
+    )
+    return above, _row_sum(Y - signed)
 
 
 def _above(A: arb_mat, columns: Vector) -> arb_mat:

@@ -16,7 +16,7 @@ from necc_casadi.certificate.checker.sampled.step import StepProof
 from necc_casadi.certificate.claims import statements
 from necc_casadi.certificate.claims.sampled import BEYOND, SampledRegion
 
-__all__ = ["check_sampled"]
+__all__ = ["SampledProof", "check_sampled"]
 
 
 #: How often a box of the certificate may be halved again, the core, and the box and its sides.
@@ -36,10 +36,10 @@ def check_sampled(evidence: Evidence, sound: bool) -> Checked:
         raise ValueError("the sampled region has no boxes")
     text = statements.sampled(region, model.states, model.units, model.stated_limits or ())
     stable = ("V decreases around a minimum", lambda: sound)
-    return Checked.by("sampled", text, [stable, *_Sampled(evidence, region).obligations()])
+    return Checked.by("sampled", text, [stable, *SampledProof(evidence, region).obligations()])
 
 
-class _Sampled:
+class SampledProof:
     """What has to be proved of {W < w₀}."""
 
     def __init__(self, evidence: Evidence, region: SampledRegion) -> None:
@@ -66,6 +66,7 @@ class _Sampled:
             ("the height above V(z̄)", self._is_above),
             ("W is above its level on the sides of the box", self._is_closed),
             ("V has no other critical point in the region", self._has_one_minimum),
+            ("u is clipped where it is said to be alone", self._is_never_clipped),
             ("W falls at every step, on every box", self.on_every_box),
         ]
 
@@ -152,14 +153,14 @@ class _Sampled:
             core = zip(self.region.core, box, strict=True)
             if bool(self.region.level < W) or all(a <= lo and hi <= b for (a, b), (lo, hi) in core):
                 return True
-            gradient, _ = self._gradient_and_hessian(box)
+            gradient, _ = self.gradient_and_hessian(box)
             return any(bool(g > 0) or bool(g < 0) for g in gradient)
 
         return self._nowhere(self.region.box, settled, _HALVINGS)
 
     def _nowhere(self, box: Box, settled: Callable[[Box, arb, list[arb]], bool], left: int) -> bool:
         """Whether pieces of a box are settled, each with W and ∇W on it."""
-        W, slope = self._level_and_slope(box)
+        W, slope = self.level_and_slope(box)
         if settled(box, W, slope):
             return True
         loose = [
@@ -176,13 +177,13 @@ class _Sampled:
         )
 
     def _beyond(self, box: Box) -> bool:
-        return bool(self.region.level < self._level_and_slope(box)[0])
+        return bool(self.region.level < self.level_and_slope(box)[0])
 
-    def _level_and_slope(self, box: Box) -> tuple[arb, list[arb]]:
+    def level_and_slope(self, box: Box) -> tuple[arb, list[arb]]:
         """W by its mean-value form, and ∇W."""
         middle = _middle(box)
         value, at = self.energy.value_and_gradient(middle)
-        gradient, S = self._gradient_and_hessian(box)
+        gradient, S = self.gradient_and_hessian(box)
         column = arb_mat([[v] for v in gradient])
         slope = [g for (g,) in (column + S * (self.Q * column)).tolist()]
         W = value + self._square(at) / 2
@@ -190,7 +191,7 @@ class _Sampled:
             W = W + g * step
         return W, slope
 
-    def _gradient_and_hessian(self, box: Box) -> tuple[list[arb], arb_mat]:
+    def gradient_and_hessian(self, box: Box) -> tuple[list[arb], arb_mat]:
         """∇V by its mean-value form, and ∇²V."""
         middle, S = _middle(box), self.energy.entries(box)
         moved = S * arb_mat([[step] for step in _steps(box, middle)])
@@ -203,13 +204,32 @@ class _Sampled:
         return (column.transpose() * self.Q * column)[0, 0]
 
     def _kept(self, box: Box, period: tuple[float, float]) -> bool:
-        gradient, _ = self._gradient_and_hessian(box)
-        u = self.step.inputs(box, gradient)
-        limits = self.model.u_limits or ()
-        if not all(bool(v >= lo) and bool(v <= hi) for v, (lo, hi) in zip(u, limits, strict=False)):
+        gradient, _ = self.gradient_and_hessian(box)
+        if not self.model.u_limits:
+            u = self.step.inputs(box, gradient)
+            form = self.step.form(box, gradient, u, period, self.Q)
+            return form is not None and falls(form)
+        held = self.step.held(box, gradient)
+        if held is None:
             return False
-        form = self.step.form(box, gradient, u, period, self.Q)
+        form = self.step.form(box, gradient, held[0], period, self.Q, held[1])
         return form is not None and falls(form)
+
+    def _is_never_clipped(self) -> bool:
+        """Unless it is said to be, u is within its limits where W ≤ w₀."""
+        limits = self.model.u_limits or ()
+        if self.region.clipped or not limits:
+            return bool(limits) or not self.region.clipped
+
+        def settled(box: Box, W: arb, slope: list[arb]) -> bool:
+            if bool(self.region.level < W):
+                return True
+            u = self.step.inputs(box, self.gradient_and_hessian(box)[0])
+            return all(
+                bool(v >= lo) and bool(v <= hi) for v, (lo, hi) in zip(u, limits, strict=True)
+            )
+
+        return self._nowhere(self.region.box, settled, _HALVINGS)
 
 
 def _middle(box: Box) -> Box:

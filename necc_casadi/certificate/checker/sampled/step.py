@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import reduce
 from itertools import count
 
@@ -17,12 +18,31 @@ from necc_casadi.certificate.checker.model import StoredDesign
 from necc_casadi.certificate.checker.sampled.linear import Linear
 from necc_casadi.certificate.checker.sampled.linearised import Linearised
 
-__all__ = ["StepProof"]
+__all__ = ["SampleProof", "StepProof"]
 
 
 #: Tries to enclose the motion of a sample; boxes are widened to multiples of this, so that many
 #: are alike.
 _TRIES, _GRID = 6, 2.0**-8
+
+
+@dataclass(frozen=True)
+class SampleProof:
+    """A sample over a box and periods: z⁺ − z = s Ñ∇V, Ñ = factor N."""
+
+    period: tuple[int, arb, arb]  # s, a number of its own, its middle and its radius
+    factor: Linear
+    step: Linear  # Ñ
+    mean: Linear  # S̄
+    weighted: Linear  # S̃
+    reached: Box  # where z is on the way
+
+    def form(self, Q: arb_mat) -> Linear:
+        """A matrix with symmetric part Π, W(z⁺) − W(z) = s ∇VᵀΠ∇V."""
+        metric, step = Linear(Q, {}), self.step
+        turned = self.mean @ step
+        second = step.T @ (self.weighted @ step) + turned.T @ (metric @ turned)
+        return step + metric @ turned + second.scaled(self.period).times(arb(1) / 2)
 
 
 class StepProof:
@@ -45,24 +65,76 @@ class StepProof:
         self._bends = Linearised(sp.hessian(model.H, z[:n]), z[:n], True)
         self._feedback = Tape(list(model.feedback), z)
         self._ports = Tape(list(damping[: model.m, :] * model.ports.T), z)
+        rows = [-model.ports[:, i] * damping[i, :] * model.ports.T for i in range(model.m)]
+        self.limits = model.u_limits or []
+        self._channels = [Tape(list(A), z) for A in rows] if self.limits else []
 
     @property
     def covered(self) -> bool:
-        """Whether ξ̇ is (N∇V)_ξ with an N that ξ does not enter."""
-        return not self.flow.has(*self.model.z[self.model.n :])
+        """Whether ξ̇ is (N∇V)_ξ with an N that ξ does not enter, nor u where it has limits."""
+        model = self.model
+        apart = not self.limits or model.ports[model.n :, : model.m].is_zero_matrix
+        return bool(apart) and not self.flow.has(*model.z[model.n :])
 
     def inputs(self, box: Box, gradient: Sequence[arb]) -> list[arb]:
-        """U over a box."""
+        """U over a box, before its limits."""
+        return [a + b for a, b in zip(*self._law(box, gradient), strict=True)]
+
+    def held(self, box: Box, gradient: Sequence[arb]) -> tuple[list[arb], list[arb]] | None:
+        """What limits leave of u = −y_c + v, and the shares of v in it.
+
+        None where −y_c may be beyond them and u too.
+        """
+        resting, damping = self._law(box, gradient)
+        u = [a + b for a, b in zip(resting, damping, strict=True)]
+        held: list[arb] = []
+        shares: list[arb] = []
+        for value, rest, v, limits in zip(u, resting, damping, self.limits, strict=True):
+            lo, hi = map(arb, limits)
+            if bool(value >= lo) and bool(value <= hi):
+                held, shares = [*held, value], [*shares, arb(1)]
+                continue
+            if not (v.is_finite() and bool(rest >= lo) and bool(rest <= hi)):
+                return None
+            held.append(value.max(lo).min(hi))
+            shares.append(_share(v, hi - rest, rest - lo))
+        return held, shares
+
+    def _law(self, box: Box, gradient: Sequence[arb]) -> tuple[list[arb], list[arb]]:
+        """−y_c and v."""
         model, values = self.model, [ball(*side) for side in box]
         slopes = self.energy.hc(box[-model.nc :])[1]
         A = _table(self._feedback(values), model.nc)
         B = _table(self._ports(values), len(box))
-        return [-_dot(a, slopes) - _dot(b, gradient) for a, b in zip(A, B, strict=True)]
+        return [-_dot(a, slopes) for a in A], [-_dot(b, gradient) for b in B]
+
+    def rates(self, box: Box, gradient: Sequence[arb]) -> list[arb]:
+        """N∇V over a box, of which the last are ξ̇."""
+        N = _table(self._flow([ball(*side) for side in box]), len(box))
+        return [_dot(row, gradient) for row in N]
 
     def form(
-        self, box: Box, gradient: list[arb], u: list[arb], period: tuple[float, float], Q: arb_mat
+        self,
+        box: Box,
+        gradient: list[arb],
+        u: list[arb],
+        period: tuple[float, float],
+        Q: arb_mat,
+        shares: Sequence[arb] = (),
     ) -> Linear | None:
         """A matrix with symmetric part Π, W(z⁺) − W(z) = s ∇VᵀΠ∇V; None: the motion is not held."""
+        sample = self.sample(box, gradient, u, period, shares=shares)
+        return None if sample is None else sample.form(Q)
+
+    def sample(
+        self, box: Box, gradient: list[arb], u: list[arb], period: tuple[float, float],
+        push: Sequence[arb] = (), shares: Sequence[arb] = (),
+    ) -> SampleProof | None:  # fmt: skip
+        """A sample over a box, u in balls; None: the motion is not held.
+
+        `push` bounds the error of ξ⁺ − ξ for each unit of time. u is what is held, of which the
+        damping has these shares; all where none are given.
+        """
         model, names = self.model, count()
         n, size, last = model.n, len(box), period[1]
         values = [ball(*side) for side in box]
@@ -84,7 +156,10 @@ class StepProof:
                 v + upto * (r + upto * a / 2)
                 for v, r, a in zip(values[n:], rate[n:], more, strict=True)
             ]
-        blocks = self.energy.curvatures(_outwards([*(ball(*side) for side in X), *there]))
+        for i, off in enumerate(push):
+            there[i] = there[i] + upto * off * ball(-1.0, 1.0)
+        reached = _outwards([*(ball(*side) for side in X), *there])
+        blocks = self.energy.curvatures(reached)
         varying = [next(names) for _ in range(n + model.m)]
         bends = [self._bends(box[:n], X, varying[:n], names) for _ in range(2)]
         mean, weighted = (_whole(H, blocks, size, names) for H in bends)
@@ -92,11 +167,27 @@ class StepProof:
         slopes = self._slopes((*box[:n], *given), (*X, *given), varying, names)
         s = (next(names), arb(period[0] / 2 + period[1] / 2), arb(0))
         s = (s[0], s[1], _spread(period, s[1]))
-        step = self._factor(slopes, bent, s, last, names, size) @ Linear.of(N, names, False)
-        metric = Linear(Q, {})
-        turned = mean @ step
-        second = step.T @ (weighted @ step) + turned.T @ (metric @ turned)
-        return step + metric @ turned + second.scaled(s).times(arb(1) / 2)
+        factor = self._factor(slopes, bent, s, last, names, size)
+        step = factor @ self._clipped(values, N, shares, names)
+        return SampleProof(s, factor, step, mean, weighted, reached)
+
+    def _clipped(
+        self,
+        values: list[arb],
+        N: list[list[arb]],
+        shares: Sequence[arb],
+        names: count[int],
+    ) -> Linear:
+        """N with these shares of the damping in the inputs."""
+        flow, size = Linear.of(N, names, False), len(values)
+        for share, channel in zip(shares, self._channels, strict=bool(shares)):
+            if bool(share == arb(1)):
+                continue
+            part = Linear.of(_table(channel(values), size), names, False)
+            middle = share.mid()
+            radius = (share - middle).abs_upper()
+            flow = flow + part.scaled((next(names), middle - 1, radius))
+        return flow
 
     def _factor(
         self,
@@ -137,6 +228,21 @@ class StepProof:
                 for a, b in zip(held, tried, strict=True)
             )
         return None
+
+
+def _share(v: arb, above: arb, below: arb) -> arb:
+    """Of v, what room above and below 0, neither negative, leaves: where it varies, its hull."""
+    one, least, most = arb(1), arb(1), arb(1)
+    lowest, highest = v.lower(), v.upper()
+    if bool(highest > 0):
+        least = least.min((above.lower() / highest).lower())
+    if bool(lowest < 0):
+        least = least.min((below.lower() / -lowest).lower())
+    if bool(lowest > 0):
+        most = most.min((above.upper() / lowest).upper())
+    if bool(highest < 0):
+        most = most.min((below.upper() / -highest).upper())
+    return least.max(arb(0)).min(one).union(most.max(arb(0)).min(one))
 
 
 def _whole(

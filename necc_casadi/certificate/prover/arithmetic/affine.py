@@ -116,8 +116,8 @@ def negative_definite(A: Affine, share: float = 1.0) -> Truth:
     """Whether every symmetric matrix enclosed is ≺ 0, (B,).
 
     C(−A₀)Cᵀ is close to I for a C near the inverse of a factor; A ≺ 0 where what is left is shorter
-    than 1, or a share of it: each Y = CAₖCᵀ by ‖Y‖₂⁴ ≤ ‖Y²‖_F², or all by the rows of Σ|Y|; the
-    error by a diagonal matrix above it.
+    than 1, or a share of it: all Y = CAₖCᵀ together by the rows of Σ|Y|, or by the matrix Σ VMVᵀ,
+    M = |Λ|, which is above every Σ εₖY, Y = VΛVᵀ; the error by a diagonal matrix above it.
     """
     finite: Truth = np.asarray(np.isfinite(A.center + A.error).all((-1, -2)))
     finite = finite & np.isfinite(A.parts).all((-1, -2, -3))
@@ -133,23 +133,49 @@ def negative_definite(A: Affine, share: float = 1.0) -> Truth:
     apart = C @ safe @ CT + identity
     parts = np.where(finite[:, None, None, None], A.parts, 0.0)
     moved = C[:, None] @ parts @ CT[:, None]
-    lengths = np.sqrt(np.sqrt(((moved @ moved) ** 2).sum((-1, -2))))
-    together = np.abs(moved).sum(1).sum(-1).max(-1)
-    total = np.sqrt((apart**2).sum((-1, -2))) + _spread(C, rest)
-    total = total + np.minimum(lengths.sum(1), together)
-    total = total + _ROUND * (size_C @ np.abs(safe) @ np.swapaxes(size_C, -1, -2)).sum((-1, -2))
+    error = _above(C, rest)
+    together = np.abs(moved).sum(1).sum(-1).max(-1) + _greatest(error)
+    joint, left = _sum_above(moved)
+    total = np.minimum(together, _greatest(joint + error) + left)
+    rounded = np.abs(safe) + np.abs(parts).sum(1)
+    total = total + np.sqrt((apart**2).sum((-1, -2)))
+    total = total + _ROUND * (size_C @ rounded @ np.swapaxes(size_C, -1, -2)).sum((-1, -2))
     return np.asarray(usable & (total * (1 + _ROUND) < share), dtype=bool)
 
 
-def _spread(C: Vector, error: Vector) -> Vector:
-    """Upper bounds of ‖CECᵀ‖₂ for every symmetric E with |E| ≤ error, (B,).
+def _sum_above(Y: Vector) -> tuple[Vector, Vector]:
+    """A matrix above Σ εₖYₖ, |εₖ| ≤ 1, of symmetric Y (B, K, N, N), but for a rest, (B,)."""
+    values, V = np.linalg.eigh(Y)
+    VT = np.swapaxes(V, -1, -2)
+    joint = ((V * np.abs(values)[..., None, :]) @ VT).sum(1)
+    found = (V * values[..., None, :]) @ VT
+    size = np.abs(Y) + (np.abs(V) * np.abs(values)[..., None, :]) @ np.abs(VT)
+    symmetric = (Y + np.swapaxes(Y, -1, -2)) / 2
+    left = np.sqrt(((np.abs(symmetric - found) + _ROUND * size) ** 2).sum((-1, -2))).sum(1)
+    return joint, left * (1 + _ROUND)
+
+
+def _greatest(A: Vector) -> Vector:
+    """Upper bounds of the eigenvalues of symmetric matrices ⪰ 0, (B,)."""
+    A = (A + np.swapaxes(A, -1, -2)) / 2
+    values, V = np.linalg.eigh(A)
+    VT = np.swapaxes(V, -1, -2)
+    rest = A - (V * values[:, None, :]) @ VT
+    turned = V @ VT - np.eye(A.shape[-1])
+    most = np.maximum(values[:, -1], 0.0)
+    slack = np.sqrt((rest**2).sum((-1, -2))) + most * np.sqrt((turned**2).sum((-1, -2)))
+    bound: Vector = most + slack + _ROUND * np.abs(A).sum((-1, -2))
+    return bound
+
+
+def _above(C: Vector, error: Vector) -> Vector:
+    """A matrix above CECᵀ for every symmetric E with |E| ≤ error, (B, N, N).
 
     2|xᵢxⱼ| ≤ xᵢ²vⱼ/vᵢ + xⱼ²vᵢ/vⱼ for v > 0, here the columns of C by their lengths, so that E ⪯ D,
     diagonal, and −E ⪯ D.
     """
     lengths = np.sqrt((C**2).sum(1)) + TINY
     error = np.maximum(error, np.swapaxes(error, -1, -2))
-    diagonal = (error @ lengths[..., None])[..., 0] / lengths
-    moved = C @ (diagonal[..., None] * np.swapaxes(C, -1, -2))
-    bound: Vector = np.sqrt(np.sqrt(((moved @ moved) ** 2).sum((-1, -2)))) * (1 + _ROUND)
-    return bound
+    diagonal = (error @ lengths[..., None])[..., 0] / lengths * (1 + _ROUND)
+    moved: Vector = C @ (diagonal[..., None] * np.swapaxes(C, -1, -2))
+    return moved

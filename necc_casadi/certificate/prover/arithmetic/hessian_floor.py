@@ -18,7 +18,7 @@ from necc_casadi.certificate.prover.arithmetic.intervals import Interval, concat
 from necc_casadi.certificate.prover.arithmetic.networks import network_jet
 from necc_casadi.lyapunov.networks import Network
 
-__all__ = ["hessian_floor", "scalar_hessian_floor", "sharpest_floor"]
+__all__ = ["hessian_ceiling", "hessian_floor", "scalar_hessian_floor", "sharpest_floor"]
 
 
 #: Bounds of −inf σ″ and sup σ″ over the real line: tanh ±4/(3√3), squareplus in (0, 1/4].
@@ -50,6 +50,18 @@ def hessian_floor(network: Network, weights: Vector) -> Interval:
     bends = _bends([V for V, _ in hidden], w[0], network.activation)
     W = point(hidden[0][0])
     return floor - matmul(Interval(W.lo.T, W.hi.T) * bends, W)
+
+
+def hessian_ceiling(network: Network, weights: Vector) -> Interval:
+    """A matrix ⪰ ∇²f(v) for every v, the quadratic part included, d × d."""
+    d, kappa = network.inputs, network.quadratic_part(weights)[0]
+    plain, turned = replace(network, quadratic=False), np.array(weights, float)
+    turned = turned[: plain.size]
+    rows, columns = plain.shapes[-1]
+    turned[-(rows * columns + rows) :] *= -1  # −f without its quadratic part
+    return point(np.diag(kappa) if network.quadratic else np.zeros((d, d))) - hessian_floor(
+        plain, turned
+    )
 
 
 def _bends(matrices: list[Vector], out: Vector, activation: str) -> Vector:

@@ -1,8 +1,8 @@
 """Boxes of states and periods on which a step of the sampled loop is proved, by halving.
 
-On each box that meets {W ≤ w₀} is Π ≺ 0 and u within its limits. By states alone: W > w₀ on the
-sides of the whole, and where W ≤ w₀ either ∇V ≠ 0 or ∇²V ≻ 0, in a core. What is not proved lowers
-w₀.
+On each box that meets {W ≤ w₀} is Π ≺ 0, for what limits leave of u too. By states alone: W > w₀ on
+the sides of the whole, where W ≤ w₀ either ∇V ≠ 0 or ∇²V ≻ 0, in a core, and whether u is within
+its limits. What is not proved lowers w₀.
 """
 
 from __future__ import annotations
@@ -20,7 +20,16 @@ from necc_casadi.certificate.prover.arithmetic.intervals import Interval, matmul
 from necc_casadi.certificate.prover.arithmetic.potential import Potential
 from necc_casadi.certificate.prover.sampled.step import Step
 
-__all__ = ["Cover", "cover", "level_by_states"]
+__all__ = [
+    "Cover",
+    "Shown",
+    "cover",
+    "falls",
+    "is_never_clipped",
+    "level_by_states",
+    "lower_bounds",
+    "within",
+]
 
 
 #: Boxes at once, and how often one is halved at most.
@@ -33,6 +42,20 @@ _HOPELESS = 4000
 
 #: Whether what is to be shown of boxes (B, N), with ∇W on them, is, (B,).
 Settled = Callable[[Interval, Interval], Truth]
+
+
+@dataclass(frozen=True, eq=False)
+class Shown:
+    """What is shown of boxes, (B,) each."""
+
+    proved: Truth
+    of_states: Truth  # where it is not, the states alone are in the way
+    rates: Vector | float = 0.0  # what changes faster there with states and period, (B, N + 1)
+    ceiling: float = np.inf  # no level above it is ever proved
+
+
+#: What is to be shown of boxes (B, N) and periods (B,).
+Proof = Callable[[Interval, Interval], Shown]
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,6 +119,8 @@ def cover(
     weights: Vector,
     most: int,
     least: float,
+    proof: Proof | None = None,
+    deepest: int = _DEEPEST,
 ) -> Cover:
     """Boxes that prove {W < w₀} for the largest w₀ ≤ `level` that was found, −∞ where none was.
 
@@ -109,10 +134,14 @@ def cover(
         Boxes that may be looked at.
     least
         Levels below this one are of no use.
+    proof
+        What is to be shown of boxes; by default that W falls.
+    deepest
+        How often a box is halved at most.
     """
     tree, done, kept = _Tree(root), 0, False
     heap: list[tuple[float, int]] = [(-np.inf, 0)]
-    limits = step.potential.design.loop.plant.u_limits
+    proof = proof or falls(step, Q)
     while heap and heap[0][0] <= level and level > least:
         taken: list[int] = []
         bounds: list[float] = []
@@ -130,24 +159,56 @@ def cover(
         Z, s = cells[:, :-1], cells[:, -1]
         lowest, _ = lower_bounds(step.potential, Q, Z)
         lowest = np.maximum(lowest, bounds)
-        proved = np.zeros(len(taken), dtype=bool)
+        rates = np.tile(weights, (len(taken), 1))
+        proved, of_states = np.zeros((2, len(taken)), dtype=bool)
         reached = np.flatnonzero(lowest <= level)
         if len(reached):
-            sample = step.over(Z[reached], s[reached])
-            falls = negative_definite(sample.form(Q), _EASED)
-            proved[reached] = falls & _within(sample.inputs, limits)
+            shown = proof(Z[reached], s[reached])
+            proved[reached], of_states[reached] = shown.proved, shown.of_states
+            rates[reached] += shown.rates
+            level = min(level, shown.ceiling)
         for k, i in enumerate(taken):
             if lowest[k] > level or proved[k]:
                 tree.node[i] = BEYOND if lowest[k] > level else KEPT
                 kept = kept or bool(proved[k])
                 continue
-            side = int(np.argmax((tree.hi[i] - tree.lo[i]) * weights))
-            if tree.depth[i] >= _DEEPEST:
+            loose = (tree.hi[i] - tree.lo[i]) * rates[k]
+            side = int(np.argmax(loose[:-1] if of_states[k] else loose))
+            if tree.depth[i] >= deepest:
                 level = min(level, float(lowest[k]))
                 continue
             for j in tree.split(i, side):
                 heapq.heappush(heap, (float(lowest[k]), j))
     return Cover(level, tree.packed())
+
+
+def falls(step: Step, Q: Vector, clipping: Vector | None = None) -> Proof:
+    """Whether W falls.
+
+    `clipping` is how fast Π changes with states and period where u is clipped, (m, N + 1).
+    """
+
+    def proof(Z: Interval, s: Interval) -> Shown:
+        sample = step.over(Z, s)
+        open_ = ~(sample.shares.lo == 1)
+        lost = Z[np.isnan(sample.shares.lo).any(-1)]
+        return Shown(
+            negative_definite(sample.form(Q), _EASED),
+            np.zeros(len(open_), dtype=bool),
+            0.0 if clipping is None else open_[:, : len(clipping)] @ clipping,
+            _beyond_limits(step, Q, lost) if len(lost.lo) else np.inf,
+        )
+
+    return proof
+
+
+def _beyond_limits(step: Step, Q: Vector, Z: Interval) -> float:
+    """An upper bound of the least W in the middle of boxes (B, N) where −y_c is beyond limits."""
+    middle = point(Z.mid)
+    jet = step.potential.jet(middle)
+    W = jet.value + _square(point(Q[None]), jet.grad) * 0.5
+    lost = ~step.is_covered(middle, jet.grad)
+    return float(W.hi[lost].min(initial=np.inf))
 
 
 def level_by_states(
@@ -171,6 +232,18 @@ def level_by_states(
         return _inside(Z, core) | _apart(potential.jet(Z).grad)
 
     return _where_above(potential, Q, box, level, most, least, settled)
+
+
+def is_never_clipped(step: Step, Q: Vector, box: Interval, level: float, most: int) -> bool:
+    """Whether u is found to be within its limits, or has none, where W ≤ w₀ in a box (N,)."""
+    limits = step.potential.design.loop.plant.u_limits
+
+    def settled(Z: Interval, slope: Interval) -> Truth:
+        return within(step.inputs(Z, step.potential.jet(Z).grad), limits)
+
+    if limits is None:
+        return True
+    return _where_above(step.potential, Q, box, level, most, -np.inf, settled) >= level
 
 
 def _steep_within(side: Interval) -> Settled:
@@ -247,7 +320,7 @@ def _square(metric: Interval, g: Interval) -> Interval:
     return (matmul(metric, g[..., None])[..., 0] * g).sum()
 
 
-def _within(u: Interval, limits: Sequence[Sequence[float]] | None) -> Truth:
+def within(u: Interval, limits: Sequence[Sequence[float]] | None) -> Truth:
     """Whether u is within the limits, where there are any."""
     if limits is None:
         return np.ones(u.shape[0], dtype=bool)

@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from necc_casadi.arrays import Vector
+from necc_casadi.arrays import Indices, Truth, Vector
 from necc_casadi.certificate.prover.arithmetic.intervals import Interval
 from necc_casadi.certificate.prover.sampled.step import Step
 from necc_casadi.designs.design import Design
@@ -20,6 +20,9 @@ __all__ = ["Guide", "choose_metric"]
 _SHARE = 0.4
 #: Periods at which Π is asked to be ≺ 0, as shares of the longest.
 _PERIODS = (0.02, 0.5, 1.0)
+#: Points of the first program, and those added to the next at most; programs; a point is added
+#: where its margin is less than this share of what the program says.
+_FIRST, _TIMES, _NEAR = 60, 4, 0.98
 #: Rays on which a level is sought, and where on each, in units in which ∇²V(z̄) = I.
 _RAYS, _PLACES = 400, 2.0 ** np.arange(-4, 6, 1 / 16)
 #: Halvings between two places; steps of a local search, and how much wider than by rays, as a
@@ -30,34 +33,93 @@ _ROOMS = (0.5, 0.3, 0.15, 0.1, 0.06, 0.03, 0.01)
 
 
 def choose_metric(step: Step, points: Vector, period: float) -> Vector | None:
-    """The Q with the largest t for which Π ⪯ −tS⁻¹ at points (B, N), symmetric; None: t ≤ 0."""
+    """The Q with the largest t for which Π ⪯ −tS⁻¹ at points (B, N), symmetric; None: t ≤ 0.
+
+    Some of the points make a program, to which those at which its answer is worst are added.
+    """
+    longest = _Samples(step, points, period)
     design = step.potential.design
     S = design.lyapunov.hessian(design.z_bar)
+    usable = longest.usable
+    used, best = usable[:_FIRST], None
+    for _ in range(_TIMES):
+        found = _program([_Samples(step, points[used], share * period) for share in _PERIODS], S)
+        if found is None:
+            return None if best is None else best[1]
+        Q, t = found
+        margins = longest.margins(Q, S)
+        worst = usable[np.argsort(margins[usable])][:_FIRST]
+        least = float(margins[worst[0]])
+        if best is None or least > best[0]:
+            best = (least, Q)
+        added = np.setdiff1d(worst[margins[worst] < _NEAR * t], used)
+        if not added.size:
+            break
+        used = np.concatenate([used, added])
+    return best[1] if best is not None and best[0] > 0 else None
+
+
+@dataclass(frozen=True, eq=False)
+class _Samples:
+    """Samples of one length from points (B, N)."""
+
+    step: Step
+    points: Vector
+    period: float
+
+    @cached_property
+    def _parts(self) -> tuple[Vector, Vector, Vector]:
+        """Ñ, S̄ and S̃, (B, N, N)."""
+        s = np.full(len(self.points), self.period)
+        sample = self.step.over(Interval(self.points, self.points), Interval(s, s))
+        return sample.step.center, sample.mean.center, sample.weighted.center
+
+    @property
+    def known(self) -> Truth:
+        """Which samples are known, (B,)."""
+        return np.asarray(np.all([np.isfinite(A).all((-1, -2)) for A in self._parts], 0))
+
+    @property
+    def usable(self) -> Indices:
+        """Their indices."""
+        return np.flatnonzero(self.known)
+
+    def inequality(self, k: int, shapes: list[Vector], unit: Vector) -> tuple[Vector, Vector]:
+        """−Π − t unit ⪰ 0 at a point, as a linear matrix inequality in Q and t."""
+        N, mean, weighted = (A[k] for A in self._parts)
+        X, s = mean @ N, self.period
+        free = N + N.T + s * N.T @ weighted @ N
+        parts = [E @ X + X.T @ E + s * X.T @ E @ X for E in shapes]
+        return -_half(free), np.array([*(-_half(p) for p in parts), -unit])
+
+    def margins(self, Q: Vector, S: Vector) -> Vector:
+        """The largest t with Π ⪯ −tS⁻¹ at each point, (B,)."""
+        N, mean, weighted = self._parts
+        NT, X = np.swapaxes(N, 1, 2), mean @ N
+        form = N + Q @ X + (NT @ weighted @ N + np.swapaxes(X, 1, 2) @ Q @ X) * (self.period / 2)
+        values, vectors = np.linalg.eigh(S)
+        root = (vectors * np.sqrt(values)) @ vectors.T
+        safe = root @ np.where(self.known[:, None, None], form, 0.0) @ root
+        greatest: Vector = np.linalg.eigvalsh((safe + np.swapaxes(safe, 1, 2)) / 2)[:, -1]
+        return np.where(self.known, -greatest, np.inf)
+
+
+def _program(samples: list[_Samples], S: Vector) -> tuple[Vector, float] | None:
+    """(Q, t), largest t, for these samples; None: t ≤ 0."""
     size, inverse = len(S), np.linalg.inv(S)
     inverse = (inverse + inverse.T) / 2
     shapes = [_symmetric(size, i, j) for i in range(size) for j in range(i, size)]
     unit = np.zeros((size, size))
-    count = len(shapes)
     near = (_SHARE * inverse, np.array([*shapes, unit]))
     far = (_SHARE * inverse, np.array([*(-E for E in shapes), unit]))
-    inequalities = [near, far]
-    for share in _PERIODS:
-        s = np.full(len(points), share * period)
-        sample = step.over(Interval(points, points), Interval(s, s))
-        N, mean, weighted = (v.center for v in (sample.step, sample.mean, sample.weighted))
-        for k in range(len(points)):
-            if not np.isfinite(N[k]).all():
-                continue
-            X = mean[k] @ N[k]
-            free = N[k] + N[k].T + s[k] * N[k].T @ weighted[k] @ N[k]
-            parts = [E @ X + X.T @ E + s[k] * X.T @ E @ X for E in shapes]
-            inequalities.append((-_half(free), np.array([*(-_half(p) for p in parts), -inverse])))
-    cost = np.zeros(count + 1)
+    falling = [sample.inequality(k, shapes, inverse) for sample in samples for k in sample.usable]
+    cost = np.zeros(len(shapes) + 1)
     cost[-1] = -1.0
-    found = SemidefiniteProgram(cost, inequalities).solution()
+    found = SemidefiniteProgram(cost, [near, far, *falling]).solution()
     if found is None or not found[-1] > 0:
         return None
-    return sum((q * E for q, E in zip(found[:-1], shapes, strict=True)), unit)
+    Q = sum((q * E for q, E in zip(found[:-1], shapes, strict=True)), unit)
+    return Q, float(found[-1])
 
 
 def _symmetric(size: int, i: int, j: int) -> Vector:
@@ -137,6 +199,18 @@ class Guide:
         points = z_bar + (shares * reach)[:, None] * rays
         inside: Vector = points[self.W(points) <= height][:count]
         return inside
+
+    @cached_property
+    def stiffness(self) -> Vector:
+        """∇²V(z̄)."""
+        return self.design.lyapunov.hessian(self.design.z_bar)
+
+    @cached_property
+    def root(self) -> Vector:
+        """Its square root."""
+        values, vectors = np.linalg.eigh(self.stiffness)
+        root: Vector = (vectors * np.sqrt(values)) @ vectors.T
+        return root
 
     @cached_property
     def _rays(self) -> Vector:

@@ -14,11 +14,16 @@ from necc_casadi.certificate.claims.sampled import SampledRegion
 from necc_casadi.certificate.claims.statements import NotSampled
 from necc_casadi.certificate.prover.arithmetic.boxes import subdivide
 from necc_casadi.certificate.prover.arithmetic.definite import positive_definite
-from necc_casadi.certificate.prover.arithmetic.intervals import Interval
+from necc_casadi.certificate.prover.arithmetic.intervals import Interval, point
 from necc_casadi.certificate.prover.arithmetic.potential import Potential
 from necc_casadi.certificate.prover.arithmetic.tables import TabledPotential
 from necc_casadi.certificate.prover.region.bounds import bounds_of
-from necc_casadi.certificate.prover.sampled.cover import cover, level_by_states
+from necc_casadi.certificate.prover.sampled.cover import (
+    cover,
+    falls,
+    is_never_clipped,
+    level_by_states,
+)
 from necc_casadi.certificate.prover.sampled.metric import Guide, choose_metric
 from necc_casadi.certificate.prover.sampled.step import Step
 from necc_casadi.designs.design import Design
@@ -28,7 +33,9 @@ __all__ = ["prove_sampled"]
 
 
 #: States at which Q is chosen, and random starts of the domain beside its corners.
-_POINTS, _STARTS = 60, 200
+_POINTS, _STARTS = 400, 200
+#: States at which it is looked how fast Π changes.
+_FEW = 60
 #: Shares of the height that are tried, and boxes that may be looked at for each; a share is reached
 #: where this much of it is.
 _SHARES, _ENOUGH = ((1.0, 20_000), (0.4, 6_000), (0.1, 6_000)), 0.9
@@ -93,7 +100,7 @@ def _missing(design: Design, certificate: Certificate, integrator: Integrator) -
     other = isinstance(design.loop, ShapedLoop) or design.loop.plant.preliminary is not None
     if other or design.integral is not None:
         return "only the published loop is covered"
-    if integrator == "rk4":
+    if integrator not in ("euler", "heun"):
         return "only Euler's and Heun's methods are covered"
     controller = design.loop.controller
     if any(A.has(*controller.xi) for A in (controller.Jc, controller.Rc, controller.Gc)):
@@ -135,10 +142,13 @@ def _region(
     level = level_by_states(potential, Q, box, core, bottom + height, _CELLS, least)
     if not level > least:
         return None
-    weights = _weights(step, guide, points, period)
-    found = cover(step, Q, root, level, weights, most, least)
+    few = points[:_FEW]
+    weights, clipping = _weights(step, guide, few, period), _clipping(step, guide, few)
+    found = cover(step, Q, root, level, weights, most, least, falls(step, Q, clipping))
     if not found.level > least:
         return None
+    clipped = _seen_to_clip(step, guide, found.level - bottom)
+    clipped = clipped or not is_never_clipped(step, Q, box, found.level, _CELLS)
     return SampledRegion(
         period,
         "euler" if step.integrator == "euler" else "heun",
@@ -147,8 +157,43 @@ def _region(
         (1 - _EASED) * (found.level - bottom),
         tuple(zip(numbers(box.lo), numbers(box.hi), strict=True)),
         tuple(zip(numbers(core.lo), numbers(core.hi), strict=True)),
+        clipped,
         found.tree,
     )
+
+
+def _clipping(step: Step, guide: Guide, points: Vector) -> Vector:
+    """How fast Π changes with each state and the period where u is clipped, (m, N + 1).
+
+    Σ goes from 1 to 0 while u moves by the room between its limits.
+    """
+    limits = guide.design.loop.plant.u_limits or ()
+    rates = np.zeros((len(limits), points.shape[1] + 1))
+    S, root, scale = guide.stiffness, guide.root, np.diag(guide.stiffness) ** -0.5
+
+    def inputs(at: Vector) -> Vector:
+        return step.inputs(point(at), step.potential.jet(point(at)).grad).mid
+
+    size, base = points.shape[1], inputs(points)
+    for k in range(size):
+        moved = points.copy()
+        moved[:, k] += _APART * scale[k]
+        change = np.abs(inputs(moved) - base) / (_APART * scale[k])
+        rates[:, k] = np.nanmedian(change, axis=0)[: len(limits)]
+    channels = step.channels(point(points[:1]))
+    for i, (lo, hi) in enumerate(limits):
+        part = (np.eye(size) + guide.Q @ S) @ channels[i].mid[0]
+        rates[i] *= np.linalg.norm(root @ (part + part.T) @ root) / (hi - lo)
+    return rates
+
+
+def _seen_to_clip(step: Step, guide: Guide, height: float) -> bool:
+    """Whether u is clipped at one of some states of {W − V(z̄) ≤ height}."""
+    if guide.design.loop.plant.u_limits is None:
+        return False
+    points = guide.inside(height, _POINTS)
+    shares = step.over(point(points), point(np.zeros(len(points)))).shares
+    return bool((shares.hi < 1).any())
 
 
 def _core(potential: Potential, box: Interval) -> Interval:
@@ -169,9 +214,7 @@ def _weights(step: Step, guide: Guide, points: Vector, period: float) -> Vector:
     A wide box also moves over more states: what it does to their rates counts for a period.
     """
     size, design = points.shape[1], guide.design
-    S = design.lyapunov.hessian(design.z_bar)
-    values, vectors = np.linalg.eigh(S)
-    root = (vectors * np.sqrt(values)) @ vectors.T
+    S, root = guide.stiffness, guide.root
 
     def form(at: Vector) -> Vector:
         Z, s = Interval(at[:, :-1], at[:, :-1]), Interval(at[:, -1], at[:, -1])

@@ -7,6 +7,9 @@
 
 where (f, k₁) = N∇V, N = M − 𝒢𝒟𝒢ᵀ, and S′ is in the hull of ∇²V between ξ and its predictor.
 
+Limits of u leave of −y_c + v, y_c = A∇Hc, an input −y_c + Σv, Σ diagonal in [0, I], wherever −y_c
+is within them: Σ multiplies the rows of 𝒟 in N that are about u.
+
 References
 ----------
 docs/theory.md#sampled-loop.
@@ -21,20 +24,17 @@ from functools import cached_property, reduce
 import numpy as np
 import sympy as sp
 
-from necc_casadi.arrays import Vector
+from necc_casadi.arrays import Truth, Vector
 from necc_casadi.cases import Integrator
 from necc_casadi.certificate.prover.arithmetic.affine import Affine, affine_matrices
 from necc_casadi.certificate.prover.arithmetic.boxes import matrix_enclosure
-from necc_casadi.certificate.prover.arithmetic.intervals import (
-    Interval,
-    matmul,
-)
+from necc_casadi.certificate.prover.arithmetic.intervals import Interval, matmul, point
 from necc_casadi.certificate.prover.arithmetic.jets import expression_values
 from necc_casadi.certificate.prover.arithmetic.linearised import linearised
 from necc_casadi.certificate.prover.arithmetic.networks import network_jet
 from necc_casadi.certificate.prover.arithmetic.potential import Potential
 
-__all__ = ["Sample", "Step"]
+__all__ = ["Push", "Sample", "Step"]
 
 
 #: Rounds in which a box that holds the motion of a sample is sought, and the room that is added.
@@ -50,7 +50,10 @@ class Sample:
     mean: Affine  # S̄ = ∫∇²V(z + θΔz)dθ
     weighted: Affine  # S̃ = 2∫(1 − θ)∇²V(z + θΔz)dθ
     gradient: Interval  # ∇V at the start, (B, N)
-    inputs: Interval  # u, (B, m)
+    inputs: Interval  # u of the law, (B, m)
+    shares: Interval  # Σ, what limits leave of its damping, (B, m); NaN: −y_c may be beyond them
+    factor: Affine  # Ñ = factor N, (B, N, N)
+    reached: Interval  # where z is on the way, (B, N)
 
     def form(self, Q: Vector) -> Affine:
         """Π with W(z⁺) − W(z) = s ∇VᵀΠ∇V, W = V + ½∇VᵀQ∇V, (B, N, N)."""
@@ -62,36 +65,54 @@ class Sample:
 
 
 @dataclass(frozen=True, eq=False)
+class Push:
+    """What moves a sample away from the law, at most; natural units."""
+
+    inputs: Vector  # |error of u|, (B, m)
+    rates: Vector  # |error of ξ⁺ − ξ| for each unit of time, (B, nc)
+
+
+@dataclass(frozen=True, eq=False)
 class Step:
     """The sampled loop of a design in natural units, Φ the sum, nothing ahead of the loop."""
 
     potential: Potential
     integrator: Integrator
 
-    def over(self, Z: Interval, s: Interval) -> Sample:
-        """Samples from boxes (B, N) that last between the ends of s (B,)."""
-        with np.errstate(all="ignore"):
-            return self._over(Z, s)
+    def over(self, Z: Interval, s: Interval, push: Push | None = None) -> Sample:
+        """Samples from boxes (B, N) that last between the ends of s (B,).
 
-    def _over(self, Z: Interval, s: Interval) -> Sample:
+        With a push ∂f/∂x and ∇²V are enclosed along the motions that it may cause.
+        """
+        with np.errstate(all="ignore"):
+            return self._over(Z, s, push)
+
+    def _over(self, Z: Interval, s: Interval, push: Push | None) -> Sample:
         gradient = self.potential.jet(Z).grad
-        N = matrix_enclosure(self._flow, self._symbols, Z)
+        N = matrix_enclosure(self.flow, self._symbols, Z)
         rates = matmul(N, gradient[..., None])[..., 0]
-        u = self.inputs(Z, gradient)
+        resting, damping = self._law(Z, gradient)
+        u, shares = self._limited(resting, damping)
         n, upto = self._n, Interval(np.zeros_like(s.hi), s.hi)[:, None]
-        drift = self._motion(Z[:, :n], u, upto)
         bent, moved = self._advanced(Z, N, rates[:, n:], upto)
+        given = u
+        if push is not None:
+            given = u + Interval(-push.inputs, push.inputs)
+            moved = moved + upto * Interval(-push.rates, push.rates)
+        drift = self._motion(Z[:, :n], given, upto)
         curved = self.potential.curvatures(_side_by_side(Z[:, :n] + drift, moved))
         energy, rest = linearised(self._bends, self._symbols[:n], Z[:, :n], drift)
         blocks = [Interval(-rest, rest), *(A for A, _ in curved)]
         frames = [np.eye(self._size)[:n], *(L for _, L in curved)]
-        slopes, left = self._slopes_over(Z[:, :n], u, drift)
+        slopes, left = self._slopes_over(Z[:, :n], given, drift)
         free = [N, Interval(-left, left)] + ([] if bent is None else [bent])
+        free += self.channels(Z)
         made, count = affine_matrices(
             [*blocks, *blocks, *free], [True] * (2 * len(blocks)) + [False] * len(free)
         )
-        # numbers of x, of u, of all that varies by itself, and of s
-        first, every = n + len(self._given), n + len(self._given) + count + 1
+        # numbers of x, of u, of all that varies by itself, of Σ, and of s
+        first = n + len(self._given)
+        every = first + count + 1 + len(self._channels)
         made = [_among(A, first, every) for A in made]
         period = _constant(s.mid[:, None, None], made[0])
         period.parts[:, -1] = s.rad[:, None, None]
@@ -100,9 +121,18 @@ class Step:
             known + _summed(made[k : k + len(blocks)], frames) for k in (0, len(blocks))
         )
         flow, apart, *more = made[2 * len(blocks) :]
+        curved_flow = None if bent is None else more.pop(0)
+        for i, channel in enumerate(more):
+            lost = _constant((shares[:, i] - 1.0).mid[:, None, None], flow)
+            lost.parts[:, first + count + i] = shares[:, i].rad[:, None, None]
+            flow = flow + channel.scaled(lost)
         A = _among(slopes, 0, every) + apart
-        step = self._factor(period, A, more[0] if more else None, s.hi) @ flow
-        return Sample(period, step, mean, weighted, gradient, u)
+        factor = self._factor(period, A, curved_flow, s.hi)
+        reached = _side_by_side(Z[:, :n] + drift, moved)
+        asked = resting + damping
+        return Sample(
+            period, factor @ flow, mean, weighted, gradient, asked, shares, factor, reached
+        )
 
     def _slopes_over(self, X: Interval, u: Interval, drift: Interval) -> tuple[Affine, Vector]:
         """Means of ∂f/∂x, (B, n, n)."""
@@ -125,8 +155,22 @@ class Step:
         rest[:, :n, :n] = tail[:, None, None]
         return (result + _placed(second, 0, size)).widened(rest)
 
+    def channels(self, Z: Interval) -> list[Interval]:
+        """What the damping in each input adds to N where it has limits, (B, N, N) each."""
+        return [matrix_enclosure(A, self._symbols, Z) for A in self._channels]
+
+    def is_covered(self, Z: Interval, gradient: Interval) -> Truth:
+        """Whether u is within its limits on boxes, or −y_c is, (B,)."""
+        shares = self._limited(*self._law(Z, gradient))[1]
+        return np.asarray(~np.isnan(shares.lo).any(-1))
+
     def inputs(self, Z: Interval, gradient: Interval) -> Interval:
-        """U = −A∇Hc − [D B]𝒢ᵀ∇V, (B, m)."""
+        """U = −A∇Hc − [D B]𝒢ᵀ∇V, (B, m), before its limits."""
+        resting, damping = self._law(Z, gradient)
+        return resting + damping
+
+    def _law(self, Z: Interval, gradient: Interval) -> tuple[Interval, Interval]:
+        """−y_c = −A∇Hc, and v = −[D B]𝒢ᵀ∇V, (B, m)."""
         design, loop = self.potential.design, self.potential.design.loop
         weights = design.form.split(design.weights)[0]
         xi = Z[:, self._n :]
@@ -137,8 +181,23 @@ class Step:
         A = matrix_enclosure(sp.Matrix(loop.feedback), self._symbols, Z)
         ports = matrix_enclosure(sp.Matrix(loop.ports.T), self._symbols, Z)
         damped = matmul(design.damping[: loop.plant.m], ports)
-        given = matmul(A, slope[..., None]) + matmul(damped, gradient[..., None])
-        return -given[..., 0]
+        resting = matmul(A, slope[..., None])[..., 0]
+        return -resting, -matmul(damped, gradient[..., None])[..., 0]
+
+    def _limited(self, resting: Interval, damping: Interval) -> tuple[Interval, Interval]:
+        """What is held of −y_c + v, and the shares Σ of v in it, (B, m)."""
+        u, limits = resting + damping, self._limits
+        if limits is None:
+            return u, point(np.ones_like(u.lo))
+        held = Interval(np.clip(u.lo, limits.lo, limits.hi), np.clip(u.hi, limits.lo, limits.hi))
+        kept = (u.lo >= limits.lo) & (u.hi <= limits.hi)
+        above, below = limits.hi - resting, resting - limits.lo
+        up = _share(above, damping)
+        down = _share(below, -damping)
+        lo, hi = np.minimum(up.lo, down.lo), np.minimum(up.hi, down.hi)
+        inside = (above.lo >= 0) & (below.lo >= 0) & np.isfinite(damping.lo + damping.hi)
+        lo, hi = (np.where(kept, 1.0, np.where(inside, v, np.nan)) for v in (lo, hi))
+        return held, Interval(lo, hi)
 
     def _motion(self, X: Interval, u: Interval, upto: Interval) -> Interval:
         """How far no motion from X goes beyond before s (Picard, Lindelöf); NaN: unknown."""
@@ -193,6 +252,19 @@ class Step:
         return self.potential.design.loop.plant.n
 
     @cached_property
+    def _limits(self) -> Interval | None:
+        """Of u, (m,)."""
+        limits = self.potential.design.loop.plant.u_limits
+        return None if limits is None else Interval(*np.array(limits, float).T)
+
+    @cached_property
+    def _channels(self) -> list[sp.Matrix]:
+        if self._limits is None:
+            return []
+        ports, rows = sp.Matrix(self.potential.design.loop.ports), self._damping
+        return [-ports[:, i] * rows[i, :] * ports.T for i in range(len(self._given))]
+
+    @cached_property
     def _symbols(self) -> list[sp.Symbol]:
         return list(self.potential.design.loop.z)
 
@@ -216,12 +288,25 @@ class Step:
         return sp.hessian(self.potential.energy, self._symbols[: self._n])
 
     @cached_property
-    def _flow(self) -> sp.Matrix:
+    def flow(self) -> sp.Matrix:
         """N = M − 𝒢𝒟𝒢ᵀ, exactly."""
-        design = self.potential.design
-        rows = [[sp.Rational(*float(v).as_integer_ratio()) for v in row] for row in design.damping]
-        ports = sp.Matrix(design.loop.ports)
-        return sp.Matrix(design.loop.M) - ports * sp.Matrix(rows) * ports.T
+        loop = self.potential.design.loop
+        ports = sp.Matrix(loop.ports)
+        return sp.Matrix(loop.M) - ports * self._damping * ports.T
+
+    @cached_property
+    def _damping(self) -> sp.Matrix:
+        """𝒟, exactly."""
+        rows = self.potential.design.damping
+        return sp.Matrix([[sp.Rational(*float(v).as_integer_ratio()) for v in row] for row in rows])
+
+
+def _share(room: Interval, v: Interval) -> Interval:
+    """How much of v is within room ≥ 0 above 0: min (1, room/v) where v > 0, else 1."""
+    with np.errstate(all="ignore"):
+        least = point(room.lo) / point(np.where(v.hi > 0, v.hi, np.nan))
+        most = point(room.hi) / point(np.where(v.lo > 0, v.lo, np.nan))
+    return Interval(np.fmin(np.maximum(least.lo, 0.0), 1.0), np.fmin(most.hi, 1.0))
 
 
 def _side_by_side(a: Interval, b: Interval) -> Interval:

@@ -9,6 +9,7 @@ from necc_casadi.certificate.checker.arithmetic.hessian_floor import curvature_a
 from necc_casadi.certificate.checker.arithmetic.hessian_floor import hessian_floor as floor_in_balls
 from necc_casadi.certificate.checker.arithmetic.networks import Net
 from necc_casadi.certificate.prover.arithmetic.hessian_floor import (
+    hessian_ceiling,
     hessian_floor,
     scalar_hessian_floor,
 )
@@ -52,12 +53,15 @@ def test_curvature_stays_above_the_floor(activation, inputs, hidden, seed, quadr
     assert np.allclose(*middles, rtol=1e-3, atol=1e-3)  # two ways to one bound
     for floor in middles:
         assert np.linalg.eigvalsh(bends - floor).min() >= -1e-9
+    assert np.linalg.eigvalsh(hessian_ceiling(network, weights).hi - bends).min() >= -1e-9
 
 
 def test_one_layer_is_bounded_as_sharply_as_one_neuron_allows():
     """f = tanh(v₁ + v₂) bends by at most 4/(3√3) along (1, 1)."""
     network = Network(2, (1,))
     floor = hessian_floor(network, np.array([1.0, 1.0, 0.0, 1.0, 0.0])).mid
+    ceiling = hessian_ceiling(network, np.array([1.0, 1.0, 0.0, 1.0, 0.0])).mid
+    assert np.allclose(ceiling, -floor, rtol=1e-12)
     assert floor == pytest.approx(-4 / 27**0.5 * np.ones((2, 2)), rel=2e-4)
 
 
