@@ -178,7 +178,7 @@ class _Everywhere(StoredWhole):
 
         def ends(s: sp.Symbol, side: tuple[float, float]) -> Box:
             affine = s in self.family.symbols and all(
-                is_zero(e.diff(s, 2)) is True for e in set(seen) if e.has(s)
+                is_zero(sp.diff(sp.diff(e, s), s)) is True for e in set(seen) if e.has(s)
             )
             return tuple((v, v) for v in side) if affine else (side,)
 
