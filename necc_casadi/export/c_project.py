@@ -45,7 +45,8 @@ def export_c(
     sample_time
         Seconds between two calls of ``necc_step``, for the header and the demonstration.
     integrator
-        ``heun``, ``euler`` or ``rk4``: how ξ advances over a sample with x held.
+        ``heun``, ``euler`` or ``rk4``: how ξ advances over a sample with x held; ``casimir``: ξ
+        follows x, where outputs are rates of functions of the states, with a `sample_time`.
     certificate
         What is proved of `design`, for the header, and the region for ``necc_margin``.
     prefix
@@ -65,8 +66,9 @@ def export_c(
     Raises
     ------
     OptionError
-        For an unknown type or integrator, a sample time that is not positive, a prefix that is
-        no beginning of a name in C, or the certificate of another design.
+        For an unknown type or integrator, one that does not fit the design, a sample time that is
+        not positive, a prefix that is no beginning of a name in C, or the certificate of another
+        design.
     OutputError
         When a file cannot be written.
 

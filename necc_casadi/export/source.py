@@ -41,8 +41,9 @@ class Source:
     Raises
     ------
     OptionError
-        For an unknown type or integrator, a sample time that is not positive, a prefix that is
-        no beginning of a name in C, or the certificate of another design.
+        For an unknown type or integrator, one that does not fit the design, a sample time that is
+        not positive, a prefix that is no beginning of a name in C, or the certificate of another
+        design.
     """
 
     design: Design
@@ -95,12 +96,17 @@ class Source:
 
     @property
     def sampled_claim(self) -> str | None:
-        """What is claimed of the loop that this code makes, in words."""
+        """What is claimed of the loop that this code makes, in words; None of another method."""
+        region = None if self.certificate is None else self.certificate.sampled
+        if region is None or region.integrator != self.integrator:
+            return None
         return next((claim.statement for claim in self._held if claim.name == "sampled"), None)
 
     @property
     def disturbed_claim(self) -> str | None:
         """The same under rounding of the type of this code, noise and delay."""
+        if self.sampled_claim is None:
+            return None
         same = (c for c in self._held if c.name == "disturbed" and c.data["precision"] == self.real)
         return next((claim.statement for claim in same), None)
 

@@ -1,4 +1,4 @@
-"""Fully actuated mechanical plants by coordinates and rates: Mq̈ + … + Rq̇ + ∇U = B(u + d).
+"""Mechanical plants by coordinates and rates: Mq̈ + … + Rq̇ + ∇U = B(u + d).
 
 With q̇ = ∂H/∂p and p = M q̇: H = ½q̇ᵀM(q)q̇ + U(q), y = Bᵀq̇, friction R acting on q̇.
 """
@@ -22,18 +22,25 @@ from necc_casadi.model.sizes import Sizes
 from necc_casadi.symbolic.linear_algebra import tidy
 from necc_casadi.symbolic.zero import is_zero
 
-__all__ = ["Lagrangian", "Plants", "integral_obstacle", "lagrangian", "varied_plant"]
+__all__ = [
+    "Lagrangian",
+    "Plants",
+    "integral_obstacle",
+    "lagrangian",
+    "local_integral_obstacle",
+    "varied_plant",
+]
 
 
 @dataclass(frozen=True, eq=False)
 class Lagrangian:
-    """M, U, R and B of a fully actuated plant of k coordinates, in some units."""
+    """M, U, R and B of a plant of k coordinates and m inputs, in some units."""
 
     q: tuple[sp.Symbol, ...]  # (k,)
     M: sp.ImmutableMatrix  # k × k, of q and θ
     U: sp.Expr  # of q and θ
     R: sp.ImmutableMatrix  # k × k, of θ
-    B: sp.ImmutableMatrix  # k × k, constant, regular
+    B: sp.ImmutableMatrix  # k × m, constant, of rank m
     ranges: Mapping[sp.Symbol, Range] = field(default_factory=dict)  # of θ
 
     @cached_property
@@ -45,6 +52,12 @@ class Lagrangian:
             for s in self.ranges
             if all(is_zero(v.diff(s, 2)) is True for v in entries if v.has(s))
         )
+
+    def unheld(self, q_star: Sequence[sp.Expr]) -> sp.Matrix:
+        """(I − B(BᵀB)⁻¹Bᵀ)∇U at q*, (k, 1), of θ: what no input can hold there."""
+        there = dict(zip(self.q, q_star, strict=True))
+        slope, B = sp.Matrix([sp.diff(self.U, s) for s in self.q]).subs(there), sp.Matrix(self.B)
+        return slope - B * (B.T * B).inv() * B.T * slope
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +94,7 @@ def varied_plant(plant: Plant, plants: Plants | None) -> Plant | None:
 
 
 def lagrangian(loop: ClosedLoop, units: Sizes, plants: Plants | None = None) -> Lagrangian | None:
-    """The plant of a loop that has no :func:`integral_obstacle`, measured in `units`.
+    """The plant of a loop that has no :func:`local_integral_obstacle`, measured in `units`.
 
     With `plants` as a function of their parameters; None where these are not in M, U and R alone.
     """
@@ -104,7 +117,7 @@ def lagrangian(loop: ClosedLoop, units: Sizes, plants: Plants | None = None) -> 
         M=scaled(inertia, 1 / (T**2 * E)),
         U=plant.H.subs(at_rest).xreplace(scale) / E,
         R=scaled(plant.R[k:, k:], 1 / (T * E)),
-        B=sp.ImmutableMatrix(k, k, lambda i, j: plant.G[k + i, j] * S[i] * u[j] / E),
+        B=sp.ImmutableMatrix(k, plant.m, lambda i, j: plant.G[k + i, j] * S[i] * u[j] / E),
         ranges={}
         if plants is None
         else {sp.Symbol(name, real=True): side for name, side in plants.ranges.items()},
@@ -114,9 +127,22 @@ def lagrangian(loop: ClosedLoop, units: Sizes, plants: Plants | None = None) -> 
 def integral_obstacle(
     loop: ClosedLoop, casimirs: Sequence[sp.Expr], phi_is_sum: bool
 ) -> str | None:
-    """Why integral action on the position is not covered; None where it is.
+    """Why no box can be proved with integral action on the position; None where one can.
 
-    What it takes: M(q)q̈ + … = B(u + d) with constant B, k × k and regular, constant friction,
+    What it takes beside :func:`local_integral_obstacle`: an input for each coordinate.
+    """
+    m, k = loop.plant.m, loop.plant.n // 2
+    if loop.plant.inertia is not None and m < k:
+        return f"{m} input(s) act on {k} coordinates: the plant is underactuated"
+    return local_integral_obstacle(loop, casimirs, phi_is_sum)
+
+
+def local_integral_obstacle(
+    loop: ClosedLoop, casimirs: Sequence[sp.Expr], phi_is_sum: bool
+) -> str | None:
+    """Why integral action on the position is not covered, near the target either; None: it is.
+
+    What it takes: M(q)q̈ + … = B(u + d) with constant B, k × m of rank m, constant friction,
     q̇ measured; the published loop with m integrators, Casimirs linear in (q, ξ), and the sum
     Φ = H + Hc + C.
     """
@@ -124,8 +150,6 @@ def integral_obstacle(
     n, m, k = plant.n, plant.m, plant.n // 2
     if plant.inertia is None:
         return "the controller does not measure velocities"
-    if m < k:
-        return f"{m} input(s) act on {k} coordinates: the plant is underactuated"
     if isinstance(loop, ShapedLoop) or plant.preliminary is not None:
         return "the loop is not the published one"
     if not phi_is_sum:
@@ -134,8 +158,8 @@ def integral_obstacle(
     canonical = sp.Matrix.hstack(sp.zeros(k, k), sp.eye(k))
     if any((*(J[:k, :] - canonical), *J[k:, k:], *plant.R[:k, :], *plant.R[:, :k])):
         return "J and R are not those of q̇ = ∂H/∂p, ṗ = −∂H/∂q − R ∂H/∂p + B u"
-    if B.free_symbols or R.free_symbols or is_zero(sp.Matrix(B).det()) is not False:
-        return "B and the friction are not constant, or B is singular"
+    if B.free_symbols or R.free_symbols or is_zero(sp.Matrix(B.T * B).det()) is not False:
+        return "B and the friction are not constant, or the columns of B are dependent"
     Gc = controller.Gc
     own = (*controller.Jc, *controller.Rc)
     if controller.nc != m or any(own) or Gc.free_symbols or is_zero(sp.Matrix(Gc).det()):

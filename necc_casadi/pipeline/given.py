@@ -97,7 +97,8 @@ class RunOptions(TypedDict, total=False):
     sweep_a
         ``(lo, hi, n)``: also design for n values of a.
     real, integrator, sample_time, prefix
-        Of the C code: ``"double"`` or ``"float"``; ``"heun"``, ``"euler"`` or ``"rk4"``; s; a word.
+        Of the C code: ``"double"`` or ``"float"``; ``"heun"``, ``"euler"``, ``"rk4"`` or
+        ``"casimir"``; s; a word.
     min_sample_time, noise, input_error, delay
         What the sampled loop is to bear: s; ``{"q": 1e-3}``, of measured states and of inputs, in
         their units; whether u is applied one sample late.

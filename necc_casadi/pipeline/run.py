@@ -25,6 +25,8 @@ from necc_casadi.pipeline.study import study
 from necc_casadi.report.findings import Findings
 
 if TYPE_CHECKING:  # what --check does not need is loaded when it is reached
+    from matplotlib.figure import Figure
+
     from necc_casadi.certificate.claims.certificate import Certificate
     from necc_casadi.designs.design import Design
 
@@ -171,13 +173,15 @@ def _exported(
 
 def _drawn(request: Request, found: Findings, out: Path, clock: Clock) -> list[Path]:
     """Draw what there is to see, and write the page that shows it."""
-    from necc_casadi.report.gallery import figures_of
     from necc_casadi.report.page import report
-    from necc_casadi.report.style import picture
 
-    figures, kind = {}, request.format
+    figures: dict[str, Figure] = {}
     drawn: list[Path] = []
-    if request.plots:
+    if request.plots:  # what draws is slow to import
+        from necc_casadi.report.gallery import figures_of
+        from necc_casadi.report.style import picture
+
+        kind = request.format
         with clock.stage("figures", "drawing"):
             figures = figures_of(found)
             drawn = [

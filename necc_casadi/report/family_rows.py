@@ -65,6 +65,8 @@ def integral_rows(found: Findings) -> list[tuple[str, str]]:
     gains, limits = (", ".join(f"{v:.4g}" for v in a) for a in (integral.gain, integral.limit))
     head = f"τ = {integral.tau:.4g} s, Kᵢ = {gains}, |ζ| ≤ {limits}"
     claim = next((c for c in certificate.claims if c.name == "integral" and c.holds), None)
+    if any(c.name == "local_integral" and c.holds for c in certificate.claims):
+        return [("integral", f"{head}; no offset from near enough (local: no region is proved)")]
     if claim is None:
         return [("integral", f"{head}; nothing is proved of it")]
     level = rounded_down(claim.data["level"] * design.units.energy, 4)

@@ -6,9 +6,9 @@ import hashlib
 import html
 from collections.abc import Iterable, Mapping, Sequence
 from importlib import resources
+from typing import TYPE_CHECKING
 
 import sympy as sp
-from matplotlib.figure import Figure
 
 from necc_casadi.certificate.claims.certificate import Certificate
 from necc_casadi.designs.design import Design
@@ -18,8 +18,10 @@ from necc_casadi.model.shaped_loop import ShapedLoop
 from necc_casadi.report import mathml
 from necc_casadi.report.compared import cells, error_lines
 from necc_casadi.report.findings import Findings
-from necc_casadi.report.style import inline_svg
 from necc_casadi.report.to_text import brief, facts, headline, mark
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 __all__ = ["fragment", "report"]
 
@@ -316,6 +318,8 @@ def _figures(figures: Mapping[str, Figure]) -> str:
 
 
 def _figure(name: str, figure: Figure) -> str:
+    from necc_casadi.report.style import inline_svg  # slow to import, and not every page has some
+
     caption = html.escape(_CAPTIONS[name])
     drawn = inline_svg(figure, name, caption)
     shown = f'<div class="scroll">{drawn}</div>\n<figcaption>{caption}</figcaption>'

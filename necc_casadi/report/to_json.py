@@ -149,7 +149,8 @@ def _integral(design: Design, certificate: Certificate | None) -> dict[str, Any]
         return None
     claims = () if certificate is None else certificate.claims
     claim = next((c for c in claims if c.name == "integral" and c.holds), None)
-    found: dict[str, Any] = {"level": None, "box": None}
+    near = any(c.name == "local_integral" and c.holds for c in claims)
+    found: dict[str, Any] = {"level": None, "box": None, "local": near}
     if claim is not None:
         n, k, units = design.loop.plant.n, design.loop.plant.n // 2, design.units
         kept = [*range(k), *range(n, design.loop.n)]
@@ -191,19 +192,19 @@ def _disturbed_region(made: Design, certificate: Certificate | None) -> dict[str
         return None
     units, plant = certificate.units, made.loop.plant
 
-    def named(names: Sequence[object], sizes: Sequence[float], scale: Iterable[float]) -> Any:
+    def by_name(names: Sequence[object], sizes: Sequence[float], scale: Iterable[float]) -> Any:
         triples = zip(names, sizes, scale, strict=False)
         return {str(name): size * float(unit) for name, size, unit in triples}
 
     return {
         "periods": [found.shortest * units.time, found.period * units.time],
         "real": found.precision,
-        "noise": named(plant.states, found.noise, units.state),
-        "input_error": named(plant.input_names, found.input_error, made.units.input),
+        "noise": by_name(plant.states, found.noise, units.state),
+        "input_error": by_name(plant.input_names, found.input_error, made.units.input),
         "delayed": found.delay is not None,
         "level_above_minimum": found.height * units.energy,
         "limit_above_minimum": found.above * units.energy,
-        "radius": named(made.loop.states, found.radius, units.state),
+        "radius": by_name(made.loop.states, found.radius, units.state),
     }
 
 

@@ -207,7 +207,9 @@ def _outcome(found: Findings) -> str:
     if found.status == "certified" and certificate is not None:
         kind = _kind(certificate)
         if found.design is not None and found.design.integral is not None:
-            kind = "without offset under constant disturbances, in a proved box"
+            near = any(c.name == "local_integral" and c.holds for c in certificate.claims)
+            place = "near the target (local)" if near else "in a proved box"
+            kind = f"without offset under constant disturbances, {place}"
         if not found.warnings:
             return f"certified, {kind}"
         whole = found.choice is not None and found.choice.kept.whole

@@ -22,10 +22,16 @@ from necc_casadi.errors import OptionError
 from necc_casadi.lyapunov.damping import uncoupled
 from necc_casadi.lyapunov.sympy2casadi import casadi_function
 from necc_casadi.model.closed_loop import ClosedLoop
-from necc_casadi.model.lagrangian import Lagrangian, Plants, integral_obstacle, lagrangian
+from necc_casadi.model.lagrangian import (
+    Lagrangian,
+    Plants,
+    lagrangian,
+    local_integral_obstacle,
+)
 from necc_casadi.model.ranges import Range
 from necc_casadi.model.samples import quasi_random
 from necc_casadi.symbolic.derivatives import gradient, sparse_hessian
+from necc_casadi.symbolic.zero import is_zero
 
 __all__ = ["refuse_integral", "with_integral"]
 
@@ -62,12 +68,12 @@ def refuse_integral(loop: ClosedLoop, casimirs: tuple[sp.Expr, ...], phi_is_sum:
     OptionError
         With the reason.
     """
-    reason = integral_obstacle(loop, casimirs, phi_is_sum)
+    reason = local_integral_obstacle(loop, casimirs, phi_is_sum)
     if reason is not None:
         raise OptionError(
             "usage",
             f"--integral: {reason}",
-            "It takes a fully actuated mechanical plant with measured velocities, the published "
+            "It takes a mechanical plant with measured velocities and constant B, the published "
             "loop and Φ = H + Hc + C.",
         )
 
@@ -94,16 +100,9 @@ def with_integral(
         raise OptionError(
             "usage", "--integral: C = K(Σ βᵢ(cᵢ)) is not covered", "Use --casimir-form joint."
         )
-    loop = _Linear.of(design, plants)
     times = _TIMES if tau is None else np.array([tau / design.units.time])
-    tried = [found for time in times if (found := loop.at(float(time))) is not None]
-    if not tried:
-        raise OptionError(
-            "usage",
-            "--integral: at the target no damping makes W fall: V is not stiff enough there",
-            "Use --global, or give larger --damping and --controller-damping.",
-        )
-    best = max(tried, key=lambda found: found.rate)
+    full = 2 * design.loop.plant.m == design.loop.plant.n
+    best = (_best if full else _best_near)(design, plants, times)
     damping = uncoupled(best.D, best.Dc) * damping_units(design.loop, design.units)
     units = design.units
     output = units.energy / units.input
@@ -118,6 +117,50 @@ def with_integral(
     )
 
 
+def _best(design: Design, plants: Plants | None, times: Vector) -> _Found:
+    """The fastest of those whose damping makes W fall."""
+    loop = _Linear.of(design, plants)
+    tried = [found for time in times if (found := loop.at(float(time))) is not None]
+    if not tried:
+        raise OptionError(
+            "usage",
+            "--integral: at the target no damping makes W fall: V is not stiff enough there",
+            "Use --global, or give larger --damping and --controller-damping.",
+        )
+    return max(tried, key=lambda found: found.rate)
+
+
+def _best_near(design: Design, plants: Plants | None, times: Vector) -> _Found:
+    """With fewer inputs than coordinates: the fastest linearisation, for the slowest plant."""
+    own, ends = lagrangian(design.loop, design.units), _at_the_ends(design, plants)
+    varied = own if plants is None else lagrangian(design.loop, design.units, plants)
+    star = design.natural.x_star[: design.loop.plant.n // 2]
+    held = varied is not None and all(is_zero(v) is True for v in varied.unheld(star))
+    if own is None or not held:
+        raise OptionError(
+            "usage",
+            "--integral: for some parameters of their ranges no input holds the target, so that "
+            "no integral can",
+            "Ask for a smaller list of `uncertain` parameters, or another target.",
+        )
+    loops = [_Linear.near(design, plant) for plant in [own, *ends]]
+    D, Dc = loops[0].D, loops[0].Dc
+    spring = loops[0].spring
+    tried = [
+        _Found(float(time), D, Dc, gain, min(loop.rate(time, D, Dc, gain) for loop in loops))
+        for time, c in product(_rounded(times), _GAINS)
+        for gain in [_rounded(c * spring / time)]
+    ]
+    best = max(tried, key=lambda found: found.rate)
+    if not best.rate > 0:
+        raise OptionError(
+            "usage",
+            "--integral: no τ and gain that were tried make the loop near the target decay",
+            "Choose a structure whose loop attracts with a rate, or leave --integral out.",
+        )
+    return best
+
+
 def _needed(design: Design, plants: Plants | None, disturbance: Sequence[Range]) -> Vector:
     """The least and greatest ζ* at the ends of all ranges, (2, m): d less what ∇U is wrong by."""
     sides = [[float(v) for v in side] for side in disturbance]
@@ -130,7 +173,8 @@ def _needed(design: Design, plants: Plants | None, disturbance: Sequence[Range])
     weights = np.array(
         [_at(plant, sp.Matrix(gradient(plant.U, plant.q)), star)[0, :, 0] for plant in [own, *ends]]
     )
-    wrong = np.linalg.solve(_constant(own.B), (weights - weights[0]).T).T * design.units.input
+    across = np.linalg.pinv(_constant(own.B))
+    wrong = (across @ (weights - weights[0]).T).T * design.units.input
     return np.asarray(pushed - np.array([wrong.max(axis=0), wrong.min(axis=0)]), float)
 
 
@@ -228,6 +272,38 @@ class _Linear:
             Dc=natural.damping[m:, m:],
         )
 
+    @classmethod
+    def near(cls, design: Design, plant: Lagrangian) -> _Linear:
+        """The same of a plant with fewer inputs than coordinates, of M, U and R of its own."""
+        natural, k, m = design.natural, len(plant.q), design.loop.plant.m
+        n, star = 2 * k, natural.z_star[:k][None]
+        P = natural.lyapunov.hessian(natural.z_star)
+        B, Gc = _constant(plant.B), _constant(natural.loop.controller.Gc)
+        bends = -P[n:, :k] @ np.linalg.pinv(Gc @ B.T)  # c = N_ξ(ξ − GcBᵀq)
+        bends = (bends + bends.T) / 2
+        M, D = _at(plant, plant.M, star)[0], natural.damping
+        return cls(
+            M=M,
+            worst=M[None],
+            stiffness=_at(plant, sparse_hessian(plant.U, plant.q), star)[0],
+            R=_constant(plant.R),
+            B=B,
+            Gc=Gc,
+            h=P[n:, n:] - bends,
+            k=bends,
+            D=(D[:m, :m] + D[:m, :m].T) / 2,
+            Dc=(D[m:, m:] + D[m:, m:].T) / 2,
+        )
+
+    @property
+    def spring(self) -> Vector:
+        """What holds the coordinates of each input, others free to follow; (m,), above 0."""
+        Y = self.B @ self.Gc.T
+        series = np.linalg.inv(np.linalg.inv(self.h) + np.linalg.inv(self.k))
+        S = self.stiffness + Y @ series @ Y.T
+        softness = np.diag(self.B.T @ np.linalg.pinv(S) @ self.B)
+        return np.asarray(1 / np.maximum(np.abs(softness), np.finfo(float).tiny), float)
+
     def at(self, tau: float) -> _Found | None:
         """The least damping for τ that is not below the design's, and the best gain."""
         BGc = self.B @ self.Gc.T
@@ -245,20 +321,20 @@ class _Linear:
         own = np.linalg.inv(self.Gc)
         Dc = _above(self.Dc, _INNER_ROOM * (own @ inner @ own.T)[None])
         spring = np.diag(inverse @ S @ inverse.T) / tau
-        rates = [self._rate(tau, D, Dc, c * spring) for c in _GAINS]
+        rates = [self.rate(tau, D, Dc, c * spring) for c in _GAINS]
         best = int(np.argmax(rates))
         return _Found(
             float(_rounded(np.array([tau]))[0]), D, Dc, _rounded(_GAINS[best] * spring), rates[best]
         )
 
-    def _rate(self, tau: float, D: Vector, Dc: Vector, gain: Vector) -> float:
+    def rate(self, tau: float, D: Vector, Dc: Vector, gain: Vector) -> float:
         """−(largest real part) of the linearised loop in (e, q̇, ξ̃, ζ)."""
-        m, inertia = len(self.M), np.linalg.inv(self.M)
-        zero, eye = np.zeros((m, m)), np.eye(m)
+        (k, m), inertia = self.B.shape, np.linalg.inv(self.M)
+        zero, wide, eye = np.zeros((m, m)), np.zeros((k, m)), np.eye(k)
         w_e, w_xi = -self.Gc.T @ self.k @ self.Gc @ self.B.T, self.Gc.T @ (self.h + self.k)
         damped = self.B @ D @ self.B.T + self.R
         rows = [
-            [zero, eye, zero, zero],
+            [np.zeros((k, k)), eye, wide, wide],
             [-inertia @ self.stiffness, -inertia @ damped,
              -inertia @ self.B @ self.Gc.T @ self.h, -inertia @ self.B],
             [-self.Gc @ Dc @ w_e, self.Gc @ self.B.T, -self.Gc @ Dc @ w_xi, zero],

@@ -7,6 +7,8 @@ import math
 import re
 import subprocess
 import zipfile
+from dataclasses import replace
+from typing import get_args
 from xml.etree import ElementTree as ET
 
 import casadi as ca
@@ -25,11 +27,16 @@ from helpers.export_cases import (
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from necc_casadi.cases import Integrator
+from necc_casadi.certificate.claims.claim import Claim
+from necc_casadi.certificate.claims.sampled import KEPT, SampledRegion, packed_tree
 from necc_casadi.errors import OptionError, OutputError
 from necc_casadi.export.c_project import export_c
 from necc_casadi.export.compiled import compile_controller, load_controller
 from necc_casadi.export.fmu import export_fmu
+from necc_casadi.export.header import header
 from necc_casadi.export.sampled_loop import ORDERS
+from necc_casadi.export.source import Source
 from necc_casadi.lyapunov.networks import MonotonePhi, Network
 from necc_casadi.lyapunov.parameterization import Form
 from necc_casadi.model.closed_loop import ClosedLoop
@@ -111,6 +118,25 @@ def test_integrators_of_the_controller_state(tmp_path, method):
     _, rows = run_demo(tmp_path, COMPILERS[0], "300", "0.1", "0.2", "0.3", "-0.1")
     expected = reference(d, 300, 0.01, [0.1, 0.2, 0.3, -0.1], rows[0, 5:7], method)
     assert np.abs(rows - expected)[:, 1:].max() <= 1e-12
+
+
+def test_what_is_proved_of_another_method_is_not_said_of_this_code():
+    """A region is about the method that advances ξ in it."""
+    form = Form(Network(1, (8,), quadratic=True), Network(1, (8,), quadratic=True))
+    d = design(pendulum_loop(), form)
+    sides = ((-1.0, 1.0),) * 3
+    region = SampledRegion(
+        0.5, "heun", ((0.0,) * 3,) * 3, 1.0, 1.0, sides, sides, False, packed_tree(bytes([KEPT]))
+    )
+    claim = Claim("sampled", True, "every solution converges", region.data)
+    near = Claim("disturbed", True, "it stays near by", {"precision": "double"})
+    certificate = replace(claiming(d, ["z̄ is stable"]), claims=(claim, near))
+    for integrator in get_args(Integrator):
+        source = Source(d, sample_time=0.01, integrator=integrator, certificate=certificate)
+        for words in ("Proved of the sampled loop", near.statement):
+            assert (words in header(source)) == (integrator == "heun"), integrator
+        assert (source.disturbed_claim is None) == (integrator != "heun")
+        assert all(c != claim.statement for c in source.claims)
 
 
 @settings(max_examples=12, deadline=None, suppress_health_check=[HealthCheck.too_slow])

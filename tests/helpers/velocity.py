@@ -22,22 +22,23 @@ def mechanical_loop(M, V, B, q, friction=None, **about):
     plant = make_plant(x, *model.structure, **about)
     object.__setattr__(plant, "inertia", sp.ImmutableMatrix(model.M))
     loop = interconnect(plant, default_controller(plant))
-    k = len(x) // 2
+    k = len(q) if isinstance(q, tuple) else 1
     functions = tuple(
         sp.expand(v) - s
         for v, s in zip(sp.Matrix(model.B).T * sp.Matrix(x[:k]), loop.controller.xi, strict=True)
     )
-    return loop, Casimirs(functions, k, k)
+    return loop, Casimirs(functions, loop.plant.m, loop.plant.m)
 
 
 def sprung(loop, casimirs, target, k, h, D, Dc) -> Design:
     """V with quadratic K and Hc of curvatures k and h per input, whose minimum is the target."""
     m = loop.plant.m
     form = Form(Network(m, (), quadratic=True), Network(m, (), quadratic=True))
-    at = dict(zip(loop.plant.x, [*target, *[0] * m], strict=True))
-    slope = np.array([float(v.subs(at)) for v in loop.plant.grad_H[:m, 0]])
-    B = np.array(sp.Matrix(loop.plant.G[m:, :]).evalf(), float)
-    pull = -np.linalg.solve(B, slope)  # ∇K(c*), and ∇Hc(ξ*) alike
+    n = len(target)
+    at = dict(zip(loop.plant.x, [*target, *[0] * n], strict=True))
+    slope = np.array([float(v.subs(at)) for v in loop.plant.grad_H[:n, 0]])
+    B = np.array(sp.Matrix(loop.plant.G[n:, :]).evalf(), float)
+    pull = -np.linalg.lstsq(B, slope, rcond=None)[0]  # ∇K(c*), and ∇Hc(ξ*) alike
     c = B.T @ np.array(target, float)
     k, h = np.full(m, float(k)), np.full(m, float(h))
     hc = [*np.zeros(m + 1), *h, *(-pull / h)]
@@ -49,7 +50,7 @@ def sprung(loop, casimirs, target, k, h, D, Dc) -> Design:
     return Design(
         loop=loop,
         casimirs=casimirs,
-        x_star=(*map(sp.sympify, target), *[sp.Integer(0)] * m),
+        x_star=(*map(sp.sympify, target), *[sp.Integer(0)] * n),
         verdict=verdict,
         form=form,
         weights=np.array([*hc, *kk]),
@@ -65,6 +66,22 @@ def pendulum(limits=None) -> Design:
     q = sp.Symbol("q", real=True)
     loop, casimirs = mechanical_loop(1, 1 - sp.cos(q), 1, q, sp.Rational(1, 10), u_limits=limits)
     return sprung(loop, casimirs, [sp.Rational(3, 4)], 4, 4, 2, 0.5)
+
+
+def crane(wind: str = "0", **ranges) -> tuple[Design, Plants]:
+    """A cart with a load that hangs, m in the model 1, and plants with m and a wind w that vary."""
+    s, a, m, w = sp.symbols("s a m w", real=True)
+    x, friction = phase_space((s, a)), sp.eye(2) / 10
+    M = sp.Matrix([[1 + m, m * sp.cos(a)], [m * sp.cos(a), m]])
+    V, B = m * (1 - sp.cos(a)) + w * a, sp.Matrix([1, 0])
+    known = {m: 1, w: sp.sympify(wind)}
+    loop, casimirs = mechanical_loop(M.subs(known), V.subs(known), B, (s, a), friction)
+    made = sprung(loop, casimirs, [sp.Rational(1, 2), sp.Integer(0)], 1, 1, 1, 0.5)
+    J, R, G, H = Mechanical.formal(x, M, V, B, friction).structure
+    structure = (sp.ImmutableMatrix(v) for v in (J, R, G))
+    formal = Parametric(*structure, H, {"m": sp.Integer(1), "w": sp.sympify(wind)})
+    sides = {name: tuple(map(sp.sympify, side)) for name, side in ranges.items()}
+    return made, Plants(formal, sides)
 
 
 def pendulum_with_load(**ranges) -> Plants:

@@ -25,6 +25,7 @@ from necc_casadi.certificate.checker.fed_momenta import check_momenta
 from necc_casadi.certificate.checker.global_stability import check_global
 from necc_casadi.certificate.checker.input_limits import check_clipping, check_input_limits
 from necc_casadi.certificate.checker.integral import check_integral
+from necc_casadi.certificate.checker.local_integral import check_local_integral
 from necc_casadi.certificate.checker.measurement import check_measurement
 from necc_casadi.certificate.checker.members import check_members
 from necc_casadi.certificate.checker.model import StoredDesign
@@ -149,6 +150,8 @@ def _everything(evidence: Evidence, plant_file: Callable[[], str | None]) -> lis
         results.append(check_global(evidence, settled.holds))
     plain = all(part.holds for part in decrease) and measured is not None and measured.holds
     integral = check_integral(evidence, plain, plant_file)
+    if evidence.claimed("local_integral"):
+        results.append(check_local_integral(evidence, plain, plant_file))
     moving = check_setpoints(evidence, plain and sound)
     fed = check_momenta(evidence, all(part.holds for part in decrease), plant_file)
     results += [claim for claim in (integral, moving, fed) if claim is not None]

@@ -32,7 +32,7 @@ from necc_casadi.certificate.claims import statements
 from necc_casadi.symbolic.expressions import parse
 from necc_casadi.symbolic.zero import is_zero
 
-__all__ = ["check_integral", "is_covered"]
+__all__ = ["check_integral", "is_covered", "is_of_the_kind", "stated_disturbance"]
 
 
 #: How often a cell of parameters may be halved where ζ* is enclosed.
@@ -49,8 +49,10 @@ def check_integral(
     """
     model = evidence.model
     if not evidence.claimed("integral"):
-        if model.integral is None:
-            return None  # what else is claimed of solutions would be of the loop with ζ = 0
+        if model.integral is None or evidence.claimed("local_integral"):
+            return (
+                None  # elsewhere; what else is claimed of solutions would be of the loop with ζ = 0
+            )
         return Checked("integral", False, "nothing is claimed of the integral action of the design")
     level = evidence.number("integral", "level")
     widths = [float(v) for v in evidence.claims["integral"].data["half_widths"]]
@@ -58,7 +60,7 @@ def check_integral(
     kept = [*range(model.n // 2), *range(model.n, len(model.z))]
     sides = zip(kept, widths, strict=False)
     told = {model.states[i]: width * model.units.state[i] for i, width in sides}
-    ranges, pushes = stated_ranges(evidence, "integral"), _stated_disturbance(evidence)
+    ranges, pushes = stated_ranges(evidence, "integral"), stated_disturbance(evidence, "integral")
     text = statements.integral(level * model.units.energy, told, limits, ranges, pushes)
     if model.integral is None or not is_covered(model):
         return Checked("integral", False, f"{text}; not proved: the plant and loop are covered")
@@ -87,22 +89,27 @@ def check_integral(
     )
 
 
-def _stated_disturbance(evidence: Evidence) -> list[tuple[str, str]]:
-    """Ranges of disturbances that the claim is about, by input; none: all that ζ can hold."""
-    sides = evidence.claims["integral"].data.get("disturbance", [])
+def stated_disturbance(evidence: Evidence, claim: str) -> list[tuple[str, str]]:
+    """Ranges of disturbances that a claim is about, by input; none: all that ζ can hold."""
+    sides = evidence.claims[claim].data.get("disturbance", [])
     return [(str(lo), str(hi)) for lo, hi in sides]
 
 
 def is_covered(model: StoredDesign, *, coupled: bool = False) -> bool:
-    """q̇ measured, B regular and constant, the published loop, linear Casimirs.
+    """The loop is :func:`is_of_the_kind`, with an input for each coordinate."""
+    return 2 * model.m == model.n and is_of_the_kind(model, coupled=coupled)
+
+
+def is_of_the_kind(model: StoredDesign, *, coupled: bool = False) -> bool:
+    """q̇ measured, B constant, its columns independent, the published loop, linear Casimirs.
 
     The two ports are damped apart, by symmetric matrices, unless they may be coupled.
     """
-    loop, (k, odd) = model.loop, divmod(model.n, 2)
+    loop, m, (k, odd) = model.loop, model.m, divmod(model.n, 2)
     published = isinstance(loop, StoredInterconnection) and model.ahead is None
-    if not published or odd or model.inertia is None or model.m != k or model.nc != k:
+    if not published or odd or model.inertia is None or m > k or model.nc != m:
         return False
-    if model.form["phi"] is not None or model.form["betas"] or len(model.casimirs) != k:
+    if model.form["phi"] is not None or model.form["betas"] or len(model.casimirs) != m:
         return False
     q, p = model.z[:k], model.z[k : model.n]
     rates = model.J[:k, k : model.n]
@@ -111,11 +118,11 @@ def is_covered(model: StoredDesign, *, coupled: bool = False) -> bool:
     own = slice(model.n, None)
     zero += [*model.Jcl[own, own], *model.Rcl[own, own]]
     zero += [sp.diff(c, s) for c in model.casimirs for s in p]
-    constant = [*rates, *model.R[k:, k:], *model.G[k:, :], *model.ports[model.n :, k:]]
+    constant = [*rates, *model.R[k:, k:], *model.G[k:, :], *model.ports[model.n :, m:]]
     constant += [sp.diff(c, s) for c in model.casimirs for s in (*q, *model.z[model.n :])]
-    Gc, slopes = model.ports[model.n :, k:], casimir_slopes(model)[:, k:]
-    regular = [model.G[k:, :].det(), Gc.det(), slopes.det(), rates.det()]
-    moves, m = set(model.z), model.m
+    Gc, slopes, B = model.ports[model.n :, m:], casimir_slopes(model)[:, k:], model.G[k:, :]
+    regular = [(B.T * B).det(), Gc.det(), slopes.det(), rates.det()]
+    moves = set(model.z)
     ties = [model.damping[i][j] for i in range(m) for j in range(m, 2 * m)]
     ties += [model.damping[j][i] for i in range(m) for j in range(m, 2 * m)]
     blocks = [[row[s] for row in model.damping[s]] for s in (slice(m), slice(m, 2 * m))]

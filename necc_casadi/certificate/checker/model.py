@@ -24,7 +24,7 @@ __all__ = ["StoredDesign"]
 
 
 class StoredIntegral:
-    """Integral action: τ and the limits of ζ in natural units, and these as they stand.
+    """Integral action: τ, gains and limits of ζ in natural units; these as they stand, too.
 
     Raises
     ------
@@ -33,14 +33,16 @@ class StoredIntegral:
     """
 
     def __init__(self, data: Mapping[str, Any], scale: StoredUnits) -> None:
-        (tau,), self.gain, self.stated = (
+        (tau,), gain, self.stated = (
             numbers(v) for v in ([data["tau"]], data["gain"], data["limit"])
         )
-        positive = all(0 < v < math.inf for v in (tau, *self.gain, *self.stated))
-        if not positive or not len(self.gain) == len(self.stated) == len(scale.input):
+        positive = all(0 < v < math.inf for v in (tau, *gain, *self.stated))
+        if not positive or not len(gain) == len(self.stated) == len(scale.input):
             raise ValueError("integral action needs positive numbers, one for each input")
         self.tau = tau / scale.time
         self.limit = divided(self.stated, scale.input)
+        unit = scale.energy * scale.time
+        self.gain = [v * unit / (u * u) for v, u in zip(gain, scale.input, strict=True)]
 
 
 class StoredDesign:

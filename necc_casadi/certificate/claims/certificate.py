@@ -28,7 +28,7 @@ __all__ = ["Certificate"]
 
 
 #: Claims that are needed where they are made.
-_ASKED = {"region", "measurement", "integral", "setpoints", "family"}
+_ASKED = {"region", "measurement", "integral", "local_integral", "setpoints", "family"}
 
 
 @dataclass(frozen=True)

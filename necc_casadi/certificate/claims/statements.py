@@ -33,6 +33,7 @@ __all__ = [
     "NOT_MEASURED",
     "NO_FAMILY",
     "NO_INTEGRAL",
+    "NO_LOCAL_INTEGRAL",
     "NO_MEMBERS",
     "NO_MOMENTA",
     "NO_NEIGHBOURHOOD",
@@ -57,6 +58,7 @@ __all__ = [
     "input_limits",
     "integral",
     "limited_by",
+    "local_integral",
     "momenta",
     "no_clipping",
     "no_limits",
@@ -137,6 +139,12 @@ SETPOINTS_ARE_NOT_COVERED = (
 
 
 NO_SETPOINTS = "no box is proved that holds solutions at every set-point"
+
+
+NO_LOCAL_INTEGRAL = (
+    "nothing is proved of the integral action: the linearisation at rest is not proved to be "
+    "Hurwitz for every parameter"
+)
 
 
 NO_INTEGRAL = "no box around the target is proved in which the integral action makes W fall"
@@ -298,6 +306,29 @@ def integral(
     )
 
 
+def local_integral(
+    limits: Sequence[float],
+    ranges: Mapping[str, Sequence[str]],
+    disturbance: Sequence[Sequence[str]] = (),
+) -> str:
+    """Of the limits of ζ and what is unknown, of a plant with fewer inputs than coordinates.
+
+    Without a range of disturbances: of all for which the limits of ζ are enough.
+    """
+    bounds = ", ".join(f"{_down(v, 6)}" for v in limits)
+    pushes = ", ".join(f"[{lo}, {hi}]" for lo, hi in disturbance)
+    known = "".join(f", {name} in [{lo}, {hi}]" for name, (lo, hi) in ranges.items())
+    enough = f" whose ζ* is within ±({bounds})"
+    if pushes:
+        known, enough = f" in {pushes}{known}", f", ζ* within ±({bounds})"
+    return (
+        "locally, with integral action: the loop rests at q* and is exponentially stable there, so "
+        "that q → q* without offset from near enough, for every constant "
+        f"disturbance{known}{enough}; no region is claimed of it, and what else is claimed of "
+        "solutions is of the loop with ζ = 0"
+    )
+
+
 def momenta(ranges: Mapping[str, Sequence[str]]) -> str:
     """Of a controller that is fed the plant's own momenta, and the parameters that vary."""
     known = ", ".join(f"{name} in [{lo}, {hi}]" for name, (lo, hi) in ranges.items())
@@ -383,6 +414,9 @@ def unproved(limits: Sequence[Sequence[float]]) -> Mapping[str, frozenset[str]]:
         "family": frozenset(NO_FAMILY.values()),
         "members": frozenset([NO_MEMBERS]),
         "everywhere": frozenset(map(not_everywhere, get_args(NotEverywhere))),
+        "local_integral": frozenset(
+            [INTEGRAL_IS_NOT_COVERED, INTEGRAL_IS_TOO_SMALL, NO_LOCAL_INTEGRAL]
+        ),
         "integral": frozenset([INTEGRAL_IS_NOT_COVERED, INTEGRAL_IS_TOO_SMALL, NO_INTEGRAL]),
         "sampled": frozenset(map(sampled_is_not_covered, get_args(NotSampled))),
         "disturbed": frozenset(map(disturbed_is_not_covered, get_args(NotDisturbed))),

@@ -18,7 +18,13 @@ from necc_casadi.designs.design import Design
 from necc_casadi.symbolic.derivatives import gradient
 from necc_casadi.symbolic.zero import is_zero
 
-__all__ = ["linearisation", "prove_attraction", "prove_only_stable"]
+__all__ = [
+    "is_hurwitz",
+    "linearisation",
+    "lyapunov_candidate",
+    "prove_attraction",
+    "prove_only_stable",
+]
 
 
 #: Shares of the spectral abscissa that are tried as a proved rate of decay, in this order.
@@ -59,8 +65,8 @@ def prove_attraction(
         for share in _RATES:
             rate = max(0.0, -share * abscissa)
             shifted = A + rate * np.eye(A.shape[-1])
-            P = _lyapunov(shifted.mid)
-            if P is not None and _is_hurwitz(shifted, P):
+            P = lyapunov_candidate(shifted.mid)
+            if P is not None and is_hurwitz(shifted, P):
                 stated = rate / time
                 return Claim("attraction", True, statements.attraction(stated), {"rate": stated})
     text = (
@@ -73,7 +79,7 @@ def _abscissa(A: Vector) -> float:
     return float(np.linalg.eigvals(A).real.max()) if np.isfinite(A).all() else float("nan")
 
 
-def _lyapunov(A: Vector) -> Vector | None:
+def lyapunov_candidate(A: Vector) -> Vector | None:
     """P with AᵀP + PA = −I, in floating point, as a candidate; None where there is none.
 
     With U = (pI − A)⁻¹(pI + A), p > 0, the equation reads P = UᵀPU + 2p(pI − A)⁻ᵀ(pI − A)⁻¹, and
@@ -101,7 +107,8 @@ def _lyapunov(A: Vector) -> Vector | None:
     return None
 
 
-def _is_hurwitz(A: Interval, P: Vector) -> bool:
+def is_hurwitz(A: Interval, P: Vector) -> bool:
+    """Whether P ≻ 0 and AᵀP + PA ≺ 0 for every A enclosed, (d, d) each."""
     PA = matmul(P, A)
     rate = PA + Interval(PA.lo.T, PA.hi.T)
     return bool(positive_definite(point(P)[None])[0] and positive_definite(-rate[None])[0])

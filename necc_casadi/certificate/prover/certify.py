@@ -32,6 +32,7 @@ from necc_casadi.certificate.prover.equilibrium import Equilibrium, prove_equili
 from necc_casadi.certificate.prover.global_stability import prove_global_stability
 from necc_casadi.certificate.prover.input_limits import clipping_is_covered, holds_everywhere
 from necc_casadi.certificate.prover.integral import prove_integral
+from necc_casadi.certificate.prover.local_integral import prove_local_integral
 from necc_casadi.certificate.prover.measurement import prove_measurement
 from necc_casadi.certificate.prover.region.proof import RegionProof
 from necc_casadi.certificate.prover.region.region import prove_region, prove_region_within_limits
@@ -125,7 +126,11 @@ def certify(
         told("region", 0.0)
         certificate = _extended(certificate, design, potential, equilibrium)
         if stability is not None:
-            added = (prove_integral(design, plants, disturbance), prove_setpoints(design))
+            added = (
+                prove_integral(design, plants, disturbance),
+                prove_local_integral(design, plants, disturbance),
+                prove_setpoints(design),
+            )
             more = tuple(claim for claim in added if claim is not None)
             certificate = replace(certificate, claims=(*certificate.claims, *more))
         told("region", 1.0)

@@ -167,7 +167,7 @@ class Minima:
         """∇Ĥ at x*, of ϑ alone, (n,)."""
         plant = self.design.loop.plant
         there = dict(zip(plant.x, self.design.x_star, strict=True))
-        return [sp.expand(e.subs(there)) for e in gradient(plant.H, plant.x)]
+        return [sp.simplify(e.subs(there)) for e in gradient(plant.H, plant.x)]
 
     @cached_property
     def _bends(self) -> list[sp.Expr]:

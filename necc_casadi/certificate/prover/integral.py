@@ -35,7 +35,7 @@ from necc_casadi.model.ranges import Range
 from necc_casadi.symbolic.derivatives import gradient
 from necc_casadi.symbolic.expressions import to_text
 
-__all__ = ["IntegralTerms", "prove_integral"]
+__all__ = ["IntegralTerms", "is_uncoupled", "prove_integral", "told_outwards"]
 
 
 #: Of ζ* in natural units and 1: what is told of it is so much wider, as balls are coarse.
@@ -49,16 +49,16 @@ _PARTS, _MOST_CUT = 8, 3
 def prove_integral(
     design: Design, plants: Plants | None = None, disturbance: Sequence[Range] = ()
 ) -> Claim | None:
-    """That the target is held without offset; None where the design has no integral action.
+    """That the target is held without offset; None without integral action, or where it is local.
 
     With `plants` for every value of their parameters; with `disturbance`, one range per input, for
     every constant one of these, in place of all whose ζ* is within the limits.
     """
-    if design.integral is None:
+    if design.integral is None or 2 * design.loop.plant.m < design.loop.plant.n:
         return None
     loop, functions = design.loop, design.casimirs.functions
     obstacle = integral_obstacle(loop, functions, design.form.phi is None)
-    if obstacle is not None or design.form.betas or not _is_uncoupled(design):
+    if obstacle is not None or design.form.betas or not is_uncoupled(design):
         return Claim("integral", False, statements.INTEGRAL_IS_NOT_COVERED)
     plant = lagrangian(loop, design.units, plants)
     if plant is None:
@@ -82,7 +82,7 @@ def prove_integral(
     pushes = [tuple(map(to_text, side)) for side in disturbance]
     if resting is not None:
         data["disturbance"] = [list(side) for side in pushes]
-        data["resting"] = [list(side) for side in zip(*_told(resting), strict=True)]
+        data["resting"] = [list(side) for side in zip(*told_outwards(resting), strict=True)]
     kept = [*range(terms.k), *range(loop.plant.n, loop.n)]
     box = {
         loop.states[i]: float(width * design.units.state[i])
@@ -93,13 +93,13 @@ def prove_integral(
     return Claim("integral", True, text, data)
 
 
-def _told(resting: Interval) -> tuple[list[float], list[float]]:
+def told_outwards(resting: Interval) -> tuple[list[float], list[float]]:
     """Ends a little farther out, so that other arithmetic can confirm them."""
     room = _ROOM * (1 + resting.magnitude)
     return (resting.lo - room).tolist(), (resting.hi + room).tolist()
 
 
-def _is_uncoupled(design: Design) -> bool:
+def is_uncoupled(design: Design) -> bool:
     """Whether 𝒟 = diag(D, Dc), both symmetric."""
     m, damping = design.loop.plant.m, design.damping
     coupled = np.any(damping[:m, m:]) or np.any(damping[m:, :m])
@@ -135,9 +135,8 @@ class IntegralTerms(Remainders):
     def resting(self, disturbance: Sequence[Range]) -> Interval:
         """ζ* for every disturbance, in the units of the model, and every θ; (m,), natural units."""
         units, m = self.input_units, self.m
-        force = sp.Matrix(self.plant.B).inv() * gradient(self.plant.U, self.plant.q).subs(
-            self.there
-        )
+        B = sp.Matrix(self.plant.B)
+        force = (B.T * B).inv() * B.T * gradient(self.plant.U, self.plant.q).subs(self.there)
         theta = self.theta[None]
         cells = subdivide(self.theta, _PARTS) if 0 < len(self.theta.lo) <= _MOST_CUT else theta
         weight = matrix_enclosure(force, tuple(self.plant.ranges), cells)[..., 0]

@@ -93,23 +93,39 @@ class Remainders(Terms):
     @cached_property
     def xi_bar(self) -> Interval | None:
         """The minimum of Hc(ξ) + K(c(q*, ξ)) in ξ, enclosed (m,)."""
-        xi = self.design.xi_star
-        at = self._shape(point(np.concatenate([self.q_star, xi])[None]))[:, self.k :]
+        return self._minimum(np.zeros(self.k))
+
+    def _minimum(self, off: Vector) -> Interval | None:
+        """The same for every q within `off` (k,) of q*."""
+        xi, k = self.design.xi_star, self.k
+        z, away = np.concatenate([self.q_star, xi]), np.concatenate([off, np.zeros(self.m)])
+        at = self._shape(Interval((z - away)[None], (z + away)[None]))[:, k:]
         g = float(norm(at.grad)[0])
         least = float(np.linalg.eigvalsh(at.hess.mid[0])[0])
         for radius in _RADII:
             if g < _MU * least * radius:
-                box = np.concatenate([self.q_star, xi])
-                reach = np.concatenate([np.zeros(self.k), np.full(self.m, radius)])
-                cells = Interval(np.nextafter(box - reach, -np.inf)[None],
-                                 np.nextafter(box + reach, np.inf)[None])  # fmt: skip
-                hess = self._shape(cells)[:, self.k :].hess
+                reach = np.concatenate([off, np.full(self.m, radius)])
+                cells = Interval(np.nextafter(z - reach, -np.inf)[None],
+                                 np.nextafter(z + reach, np.inf)[None])  # fmt: skip
+                hess = self._shape(cells)[:, k:].hess
                 if positive_definite(hess, _MU * least)[0]:
-                    away = np.nextafter(g / (_MU * least) * (1 + 1e-12), np.inf)
+                    near = np.nextafter(g / (_MU * least) * (1 + 1e-12), np.inf)
                     return Interval(
-                        np.nextafter(xi - away, -np.inf), np.nextafter(xi + away, np.inf)
+                        np.nextafter(xi - near, -np.inf), np.nextafter(xi + near, np.inf)
                     )
         return None
+
+    def springs_at_rest(self, off: Vector) -> tuple[Interval, Interval] | None:
+        """∇²Hc and N_ξ∇²K N_ξᵀ at rest, (m, m) each, for every q within `off` (k,) of q*."""
+        xi = self._minimum(off)
+        if xi is None:
+            return None
+        at = Interval(np.concatenate([self.q_star - off, xi.lo])[None],
+                      np.concatenate([self.q_star + off, xi.hi])[None])  # fmt: skip
+        h = network_jet(self.design.form.hc, self.weights[0], xi[None]).hess[0]
+        c = stack([j.value for j in self._linear(coordinates(at))])
+        bends = network_jet(self.design.form.k, self.weights[1], c).hess
+        return h, matmul(matmul(transposed(self.Nxi), bends), self.Nxi)[0]
 
     def _shape(self, Z: Interval) -> _Parts:
         """Hc(ξ) + K(c(q, ξ)) over boxes of (q, ξ)."""

@@ -213,3 +213,75 @@ def test_the_form_says_what_a_step_does_to_w(folder, default_design, method, wid
         said = said * s
         assert abs(said.mid() - (W[1] - W[0])) <= said.rad() + 1e-12
         assert width > 0.0 or said.rad() < 0.1 * abs(said.mid())  # and it is worth something
+
+
+def drawn(design, region, count, seed=0):
+    """States of {W < w₀} in the box, (count, N), natural units."""
+    rng, found = np.random.default_rng(seed), []
+    lo, hi = np.array(region.box).T
+    while len(found) < count:
+        z = rng.uniform(lo, hi, (2000, len(lo)))
+        found += list(z[level_of(design, region, z) < region.level])
+    return np.array(found[:count])
+
+
+def level_of(design, region, z):
+    slopes = design.lyapunov.gradient(z)
+    square = np.einsum("bi,ij,bj->b", slopes, np.array(region.metric), slopes)
+    return design.lyapunov.V(z) + square / 2
+
+
+FORGED = {
+    "period": (1.05, 20.0, 200.0),
+    "level": (1.01, 3.0),
+    "metric": (0.0, 1.1, 3.0),
+    "box": (0.5, 1.03),
+    "euler": (1.0,),
+}
+
+
+@pytest.mark.slow
+def test_what_is_accepted_of_a_forger_is_true(folder, tmp_path, default_design):
+    """Each entry moved a little and a lot: refused, or so that W falls in simulated samples."""
+    region, design, verdicts = region_of(folder), default_design.natural, []
+    for entry, factors in FORGED.items():
+        for factor in factors:
+            changes = {"period": region.period * factor} if entry == "period" else {}
+            if entry == "level":
+                raised = region.level + (factor - 1) * region.height
+                changes = {"level": raised, "height": region.height * factor}
+            if entry == "metric":
+                changes = {"metric": [[factor * q for q in row] for row in region.metric]}
+            if entry == "box":
+                sides = zip(region.box, design.z_bar, strict=True)
+                changes = {"box": [[c + factor * (v - c) for v in side] for side, c in sides]}
+            if entry == "euler":
+                changes = {"integrator": "euler"}
+            holds = forged(folder, tmp_path, **changes).holds
+            verdicts.append((entry, factor, holds))
+            if holds:
+                claimed = SampledRegion.read(region.data | changes)
+                z, rng = drawn(design, claimed, 1000), np.random.default_rng(1)
+                shares = np.where(np.arange(1000) % 4 == 0, 1.0, rng.uniform(size=1000) ** 4)
+                s = claimed.period * np.maximum(shares, 1e-9)
+                after = sampled_step(design, z, s, claimed.integrator)
+                before = level_of(design, claimed, z)
+                assert np.all(level_of(design, claimed, after) <= before + 1e-12), verdicts
+    refused = {(entry, factor) for entry, factor, holds in verdicts if not holds}
+    assert {("period", 200.0), ("box", 0.5)} <= refused, verdicts
+    assert len(refused) < len(verdicts), verdicts
+
+
+@pytest.mark.slow
+def test_no_box_may_be_said_to_be_what_it_is_not(folder, tmp_path):
+    """The first leaves, one by one: beyond for kept, and what holds nothing for the whole."""
+    region = region_of(folder)
+    nodes = region.nodes
+    kept = [i for i, node in enumerate(nodes) if node == KEPT]
+    for i in kept[:3]:
+        forgery = bytes([*nodes[:i], BEYOND, *nodes[i + 1 :]])
+        assert not forged(folder, tmp_path, tree=packed_tree(forgery)).holds
+    assert not forged(folder, tmp_path, tree=packed_tree(bytes([BEYOND]))).holds
+    for i in range(min(len(nodes), 4)):  # a box left out
+        with pytest.raises(OutputError):
+            forged(folder, tmp_path, tree=packed_tree(bytes([*nodes[:i], *nodes[i + 1 :]])))

@@ -2,7 +2,7 @@
 
 import dataclasses
 import json
-from itertools import pairwise
+from itertools import combinations, pairwise, product
 
 import numpy as np
 import pytest
@@ -282,3 +282,42 @@ def test_solutions_from_far_away_lose_all_their_slope(make):
     for _ in range(24):
         end = simulated(design, design.z_bar + rng.uniform(-6, 6, design.loop.n), 4000.0)
         assert np.abs(np.asarray(design.lyapunov.gradient(end), float)).max() < 2e-2
+
+
+def all_steps(count, plant_states):
+    """Every step that can be written down about so many states."""
+    sizes = {1: ("rate", "steady", "momentum"), 2: ("level", "inertia"), 3: ("swing",)}
+    for size, rules in sizes.items():
+        yield from (Step(r, t) for t in product(range(count), repeat=size) for r in rules)
+    for size in range(1, count + 1):
+        for states in combinations(range(count), size):
+            yield from (Step(rule, states) for rule in ("convex", "placed"))
+            if max(states) < plant_states:
+                yield Step("linear", states)
+
+
+def most_that_a_forger_can_derive(design, box):
+    """How many forms vanish after every step that the checker follows, again and again."""
+    model, z = StoredDesign(json.loads(design.text)), design.z_bar
+    sides = tuple((float(v - HALF), float(v + HALF)) for v in z) if box else None
+    place = tuple((float(v - 1e-9), float(v + 1e-9)) for v in z)
+    energy = Energy(model, range(len(z)))
+    known = checked._Solution(energy, tuple(design.momenta), place, sides)
+    assert known.inertia_is_finite()
+    steps, before = list(all_steps(len(z), model.n)), -1
+    while (found := known.forms.rank + sum(map(len, (known.constant, known.steady)))) != before:
+        before = found
+        for step in steps:
+            known.follow(step)
+    return known.forms.rank
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("box", [True, False])
+def test_no_choice_of_steps_proves_what_is_false(box):
+    """Plants with motions that V does not see, and one that has none, for the contrary."""
+    uncoupled = chain(2, 0, lambda q1, q2, p1, p2: (q1**2 + q2**2 + p1**2 + p2**2) / 2)
+    for design in (tora(sp.pi / 2), chain(3, 1), uncoupled):
+        assert most_that_a_forger_can_derive(design, box) < design.loop.n
+    design = tora()
+    assert most_that_a_forger_can_derive(design, box) == design.loop.n

@@ -5,7 +5,7 @@ from itertools import product
 
 import numpy as np
 import pytest
-from helpers.sampled import held_input, limited_around, sampled_step, with_limits
+from helpers.sampled import held_input, limited_around, plant_after, sampled_step, with_limits
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -20,6 +20,7 @@ from necc_casadi.certificate.prover.arithmetic.potential import Potential
 from necc_casadi.certificate.prover.certify import certify, with_sampled_loop
 from necc_casadi.certificate.prover.sampled import prove
 from necc_casadi.certificate.prover.sampled.step import Step
+from necc_casadi.export.compiled import compile_controller
 
 T = 0.04
 #: Designs with Φ = H + Hc + C; a neural Φ is refused in words.
@@ -248,6 +249,31 @@ def test_responses_from_the_region_converge(certified, default_design):
     assert np.linalg.norm(z - design.z_bar, axis=1).max() < 1e-3
 
 
+@pytest.mark.slow
+def test_w_falls_in_the_compiled_code_at_samples_and_between(certified, default_design):
+    """Periods of 1e-9 of the longest, the longest itself and any other; x in the projection."""
+    design, region, units = default_design.natural, certified.sampled, default_design.units
+    compiled, n = compile_controller(default_design), design.loop.plant.n
+    rng, Q, (lo, hi) = np.random.default_rng(5), np.array(region.metric), np.array(region.box).T
+
+    def sampled(z, s):
+        made = [compiled.step(row[n:], row[:n], dt) for row, dt in zip(z, s, strict=True)]
+        u, xi = (np.array([one[k] for one in made]) for k in (0, 1))
+        return np.hstack([plant_after(default_design, z[:, :n], u, s), xi])
+
+    z = starts(design, region, 400) * units.state
+    before = W(design, Q, z / units.state)
+    for _ in range(60):
+        shares = rng.uniform(size=len(z))
+        kinds = (np.full(len(z), 1e-9), np.ones(len(z)), shares, shares**6)
+        s = region.period * units.time * np.choose(rng.integers(0, 4, len(z)), kinds)
+        for each in (sampled(z, s * rng.uniform(size=len(z))), z := sampled(z, s)):
+            seen = each / units.state
+            assert (W(design, Q, seen) <= np.minimum(before + 1e-12, region.level)).all()
+            assert ((seen > lo) & (seen < hi)).all()
+        before = W(design, Q, z / units.state)
+
+
 def test_nothing_is_proved_of_periods_beyond_the_stable_ones(default_design):
     found = certify(default_design, sample_time=50.0)
     (claim,) = [c for c in found.claims if c.name == "sampled"]
@@ -257,8 +283,11 @@ def test_nothing_is_proved_of_periods_beyond_the_stable_ones(default_design):
 
 def test_what_is_not_covered_is_said(default_design, designs):
     neural = certify(designs["neural"], region=False, sample_time=0.01)
-    rk4 = certify(default_design, region=False, sample_time=0.01, integrator="rk4")
-    for found, why in ((neural, "Φ = H + Hc + C"), (rk4, "Heun")):
+    others = (
+        certify(default_design, region=False, sample_time=0.01, integrator=integrator)
+        for integrator in ("rk4", "casimir")
+    )
+    for found, why in ((neural, "Φ = H + Hc + C"), *((other, "Heun") for other in others)):
         (claim,) = [c for c in found.claims if c.name == "sampled"]
         assert not claim.holds
         assert why in claim.statement

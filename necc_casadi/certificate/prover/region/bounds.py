@@ -290,7 +290,10 @@ class Bounds:
         return all(above)
 
     def _held_above(self, held: Reduced, leaves: Leaves, i: int, end: float, level: float) -> bool:
-        """Whether min {V(s, e): eᵢ = b} > c on every marked cell."""
+        """Whether min {V(s, e): eᵢ = b} > c on every marked cell.
+
+        No halving helps a cell in the middle of which it is no higher: w is not either.
+        """
         cells = leaves.boxes[np.flatnonzero(leaves.marked)]
         for _ in range(_HALVINGS):
             faces = Interval(self._with(held, cells.lo, i, end), self._with(held, cells.hi, i, end))
@@ -298,6 +301,8 @@ class Bounds:
             cells = cells[np.flatnonzero(~(cover.ok & (cover.w.lo > level)))]
             if not cells.shape[0]:
                 return True
+            if held.reaches(self._with(held, cells.mid, i, end), level):
+                return False
             own = self.reduced.cover(cells)
             cells = halves(cells[np.flatnonzero(~(own.ok & (own.w.lo > level)))])
             if not cells.shape[0]:

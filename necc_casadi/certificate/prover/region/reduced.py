@@ -171,6 +171,11 @@ class Reduced:
             return np.ones(e.shape[0], dtype=bool)
         return np.asarray(((self.tube.lo < e.lo) & (e.hi < self.tube.hi)).all(-1))
 
+    def reaches(self, s: Vector, level: float) -> bool:
+        """Whether V ≤ c for some e at one of the points s (B, ds), in floats; no proof."""
+        found = self.landscape.minima(s)
+        return bool(((found.w <= level) & self._within_tube(point(found.e))).any())
+
     def convex_on(self, cells: Interval) -> bool:
         """Whether V(s, ·) has a critical point and ∇²w ≻ 0 on all cells (B, ds)."""
         cover = self.cover(cells)
