@@ -70,6 +70,7 @@ class _Core:
     box: Interval  # (N,)
     rate: float
     above: float  # w_∞ − V(z̄)
+    first: float  # the same while a u that is late may have been computed anywhere
     reach: float  # |C⁻ᵀ(z − z̄)| is at most this
 
 
@@ -111,7 +112,7 @@ class _Proof:
             kept = found.proved & within(found.inputs, limits)
             return inner | (kept & steep), kept & ~steep
 
-        least = self._bottom + max(core.above, 0.1 * region.height)
+        least = self._bottom + max(core.first / (1 - 2 * _EASED), 0.1 * region.height)
         root = Interval(np.append(box.lo, 0.0), np.append(box.hi, self.period))
         weights = np.append(np.sqrt(np.diag(self._stiffness)), _WEIGHT / self.period)
         got = cover(wide.step, loop.Q, root, top, weights, _BOXES, least, proof, _DEEPEST)
@@ -176,7 +177,7 @@ class _Proof:
                 continue
             reaches = [float(np.sqrt(2 * v / low)) * (1 + _EASED) for v in known]
             if max(reaches) < (1 - _EASED) * half and max(known) < self.region.height:
-                return _Core(box, rate, known[-1], reaches[-1])
+                return _Core(box, rate, known[-1], max(known), reaches[-1])
             return None
         return None
 
