@@ -1,10 +1,13 @@
 """The checker on where the sampled loop stays: held as it is, and forged."""
 
 import json
+import re
+from dataclasses import replace
 
 import pytest
 
 from necc_casadi.certificate.checker.check import check
+from necc_casadi.certificate.checker.code import check_code
 from necc_casadi.certificate.checker.evidence import Evidence
 from necc_casadi.certificate.checker.model import StoredDesign
 from necc_casadi.certificate.checker.reading import read_folder
@@ -13,6 +16,10 @@ from necc_casadi.certificate.claims.certificate import Certificate
 from necc_casadi.certificate.claims.disturbed import DisturbedRegion
 from necc_casadi.certificate.claims.fields import Fields
 from necc_casadi.certificate.claims.sampled import BEYOND, SampledRegion, packed_tree
+from necc_casadi.export.sampled_loop import SampledLoop
+from necc_casadi.report.design_rows import sampled_text
+
+NAMES = (("q", "p", "xi1"), ("u",))
 
 
 @pytest.fixture(scope="module")
@@ -136,3 +143,38 @@ def test_it_does_not_hold_without_the_claim_that_it_rests_on(sampled_folder, tmp
     verdicts = {result.name: result.holds for result in check(tmp_path)}
     assert not verdicts.get("disturbed", False)
     assert not all(verdicts.values())
+
+
+@pytest.mark.parametrize("share", [1.04, 1.0, 0.96])
+def test_the_summary_says_no_more_than_is_proved(sampled_folder, found, share):
+    """Radii are not rounded down, nor the longest period up."""
+    certificate = Certificate.from_json((sampled_folder / "certificate.json").read_text("utf-8"))
+    radius, period = (0.0841 * share, 0.0129 * share, 1.0), 0.012347 * share
+    claims = [
+        replace(c, data={**c.data, "radius": list(radius), "period": period})
+        if c.name == "disturbed"
+        else replace(c, data={**c.data, "period": period})
+        if c.name == "sampled"
+        else c
+        for c in certificate.claims
+    ]
+    text = sampled_text(SampledLoop(0.01, 0.9, None, None), replace(certificate, claims=claims))
+    (shown,) = re.findall(r"within \((.*?)\) of", text)
+    assert all(float(v) >= r for v, r in zip(shown.split(","), radius, strict=True))
+    longest = [float(v) for v in re.findall(r"(?:up to|to) (0\.0\d+) s", text)]
+    assert len(longest) == 2
+    assert max(longest) <= period
+
+
+@pytest.mark.parametrize("real", ["float", "double"])
+def test_code_of_another_type_than_is_claimed_is_found(tmp_path, real):
+    """Hashes alone would not tell: they are made again along with the claim."""
+    (tmp_path / "c").mkdir()
+    for name in ("necc.h", "necc.c"):
+        (tmp_path / "c" / name).write_text(f"typedef {real} own_real;\n", encoding="utf-8")
+    other = "double" if real == "float" else "float"
+    said = {
+        name: "does not compute in" in check_code(tmp_path, "{}", name)[0].statement
+        for name in (real, other)
+    }
+    assert said == {real: False, other: True}

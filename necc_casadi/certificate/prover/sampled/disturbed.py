@@ -141,7 +141,7 @@ class _Proof:
             small = found.least < slope * (1 - _EASED)
             return Shown(found.proved & within(found.inputs, limits) & small)
 
-        least = self._bottom + max(first.above, _LEAST * region.height)
+        least = self._bottom + max(first.above / (1 - 2 * _EASED), _LEAST * region.height)
         top = where_above(wide.step.potential, loop.Q, box, region.level, _BOXES, least, steep)
         if not top > least:
             return None
