@@ -100,7 +100,8 @@ __all__ = ["design_command"]
     flag_value="auto",
     callback=read_integral,
     help="Integral action on the position, with which constant forces and wrong parameters leave "
-    "no offset; for fully actuated mechanical plants that measure velocities. TAU in s.  "
+    "no offset; for mechanical plants that measure velocities, near the target alone where they "
+    "have fewer inputs than coordinates. TAU in s.  "
     "[default: chosen]",
 )
 @response_option(

@@ -260,11 +260,6 @@ class LyapunovFunction:
         shape, rates = (*xi.shape[:-1], self.terms.m), np.asarray(z_dot, float).T
         return np.asarray(u, float).T.reshape(shape), rates[..., self.terms.n :].reshape(xi.shape)
 
-    def input_slopes(self, z: Vector) -> Vector:
-        """∂u/∂z at states (B, n + nc), (B, m, n + nc)."""
-        flat = np.asarray(self._input_slopes.call([z.T])[0], float)
-        return flat.reshape(self.terms.m, len(z), -1).transpose(1, 0, 2)
-
     def stored(self, x: npt.ArrayLike, xi: npt.ArrayLike) -> Vector:
         """What the controller keeps, s = ξ − γ(x), (…, nc)."""
         return np.asarray(xi, float) - self.gamma(x)
@@ -351,13 +346,6 @@ class LyapunovFunction:
         u, s_dot = self.control_law_function.call([x, xi - terms.gamma(x)])
         x_dot = terms.drift(x) + terms.directions(x) @ u
         return ca.Function("motion", [z], [u, state_rate(terms, x, x_dot, s_dot)])
-
-    @cached_property
-    def _input_slopes(self) -> ca.Function:
-        """Z -> ∂u/∂z."""
-        z = self._z()
-        u = self._motion_function.call([z])[0]
-        return ca.Function("input_slopes", [z], [ca.jacobian(u, z)])
 
     def _z(self) -> ca.MX:
         return ca.MX.sym("z", self.terms.n + self.terms.nc)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import sympy as sp
 from helpers.certificates import claim, verdicts
+from helpers.sampled import with_limits
 from helpers.velocity import crane
 
 from necc_casadi.certificate.claims import statements
@@ -49,7 +50,10 @@ def test_it_is_local_and_proved_and_proved_again(loaded, folder):
     assert held["holds"]
     assert held["statement"].startswith("locally, with integral action")
     assert "no region is claimed" in held["statement"]
-    assert "m in [1/2, 2]" in held["statement"]
+    assert (
+        "for every constant disturbance of the inputs in [-1/5, 1/5], m in [1/2, 2], ζ* strictly"
+        in (held["statement"])
+    )
     assert all(verdicts(folder).values())
 
 
@@ -67,6 +71,40 @@ def test_the_linearisation_is_that_of_the_loop(loaded):
     wanted = np.sort_complex(np.linalg.eigvals(np.array(columns).T))
     A = linearised(terms, point(np.zeros((1, 0)))).mid[0]
     assert np.sort_complex(np.linalg.eigvals(A)) == pytest.approx(wanted, abs=1e-7)
+
+
+def test_inputs_that_cannot_hold_a_disturbance_are_not_said_to(loaded):
+    """Clipped at rest, u leaves an offset though ζ has the room."""
+    made, many = loaded
+    at_end = with_limits(made, [(-0.2, 0.2)])
+    found = prove_local_integral(at_end, many, PUSH)
+    assert (found.holds, found.statement) == (False, statements.INTEGRAL_IS_TOO_SMALL)
+    found = prove_local_integral(with_limits(made, [(-0.25, 0.2001)]), many, PUSH)
+    assert found.holds
+    assert "u at rest strictly within [-0.25, 0.2001]" in found.statement
+    found = prove_local_integral(at_end, many)  # of those disturbances alone that leave u room
+    assert found.holds
+    assert "u at rest strictly within [-0.2, 0.2]" in found.statement
+    start = made.z_star[:4]
+    end = simulate(with_limits(made, [(-0.1, 0.1)]), start, disturbance=[0.15], time=200.0).z[-1]
+    assert abs(end[0] - made.z_star[0]) > 0.1
+
+
+@pytest.mark.parametrize(("limits", "holds"), [((-0.25, 0.25), True), ((-0.2, 0.25), False)])
+def test_inputs_at_rest_are_proved_again_to_be_within_limits(
+    loaded, folder, tmp_path, limits, holds
+):
+    made, many = loaded
+    limited = with_limits(made, [limits])
+    limited.save(tmp_path / "design.json")
+    (tmp_path / "plant.json").write_text(plant_text(limited, many.parametric), encoding="utf-8")
+    data = json.loads((folder / "certificate.json").read_text("utf-8"))
+    sides = {"m": ("1/2", "2")}, [("-1/5", "1/5")], [limits]
+    claim(data, "local_integral")["statement"] = statements.local_integral(
+        made.integral.limit, *sides
+    )
+    (tmp_path / "certificate.json").write_text(json.dumps(data), encoding="utf-8")
+    assert verdicts(tmp_path)["local_integral"] is holds
 
 
 @pytest.mark.parametrize("fault", ["resting", "uncertain", "gain"])

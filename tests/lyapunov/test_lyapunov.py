@@ -26,15 +26,6 @@ def test_gradient_and_hessian_by_finite_differences(any_design, points):
         assert np.array_equal(hessian, hessian.T)
 
 
-def test_slopes_of_u_by_finite_differences(any_design, points):
-    n, law = any_design.loop.plant.n, any_design.lyapunov.control_law
-    z = np.array(points(any_design, 3, 0.5))
-    slopes = any_design.lyapunov.input_slopes(z)
-    for at, found in zip(z, slopes, strict=True):
-        by_steps = reference.jacobian(lambda v: law(v[:n], v[n:])[0], at)
-        np.testing.assert_allclose(found, by_steps, rtol=1e-5, atol=1e-6)
-
-
 def test_the_neural_C_is_a_casimir(any_design, points):
     """eq. CasimirCondition for K(…): ∇Cᵀ(Jcl − Rcl) = 0, with ∇C from V by differences in Φ."""
     loop, form = any_design.loop, any_design.form

@@ -10,6 +10,7 @@ for every θ and constant d, where the rows that no input reaches are at rest at
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from functools import cached_property
 
@@ -63,7 +64,7 @@ def check_local_integral(
     model, name = evidence.model, "local_integral"
     limits = model.integral.stated if model.integral is not None else [0.0]
     ranges, pushes = stated_ranges(evidence, name), stated_disturbance(evidence, name)
-    text = statements.local_integral(limits, ranges, pushes)
+    text = statements.local_integral(limits, ranges, pushes, model.stated_limits or ())
     if model.integral is None or not is_of_the_kind(model):
         return Checked(name, False, f"{text}; not proved: the plant and loop are covered")
     varied = StoredPlants(model, plant_file(), ranges) if ranges else None
@@ -79,7 +80,10 @@ def check_local_integral(
             ("Casimirs, structure and measurement", lambda: sound),
             ("q* is a rest for every parameter", lambda: rest.is_held),
             ("a minimum of Hc + K at q*", lambda: rest.xi_bar is not None),
-            ("ζ* of every disturbance", lambda: not pushes or rest.has_room(evidence, pushes)),
+            (
+                "ζ* and u of every disturbance",
+                lambda: not pushes or rest.has_room(evidence, pushes),
+            ),
             ("the Lyapunov inequality at rest", rest.is_stable),
         ],
     )
@@ -116,6 +120,8 @@ class _Rest:
         self.hc, used = Net.from_weights(model.form["hc"], model.weights)
         self.kc, _ = Net.from_weights(model.form["k"], model.weights[used:])
         self.q_star = [evaluate(t, {}) for t in model.target[:k]]
+        free = [[-math.inf, math.inf]] * model.m
+        self.input_limits = [[arb(v) for v in side] for side in model.u_limits or free]
         self.xi_bar = self._minimum()
 
     @property
@@ -159,7 +165,7 @@ class _Rest:
     # --- what is to be proved -------------------------------------------------------------------
 
     def has_room(self, evidence: Evidence, disturbance: list[tuple[str, str]]) -> bool:
-        """ζ* = d − (BᵀB)⁻¹Bᵀ∇U(q*) − Gcᵀ∇Hc(ξ̄) as told for all θ and d, within the limits."""
+        """For all θ and d u = (BᵀB)⁻¹Bᵀ∇U(q*) − d and ζ* = −u − Gcᵀ∇Hc(ξ̄) as told: in limits."""
         told = evidence.claims["local_integral"].data["resting"]
         sides = [(float(lo), float(hi)) for lo, hi in told]
         limits, m = self.integral.limit, self.model.m
@@ -173,14 +179,16 @@ class _Rest:
         scale = zip(pushed, self.model.input_units, strict=True)
         d = [[evaluate(v, {}) / arb(unit) for v in side] for side, unit in scale]
         slope = arb_mat([[v] for v in self._nets(self.xi_bar or [])[0][1]])
-        own, across = self.Gc.transpose() * slope, self.B.transpose()
+        own, across = (self.Gc.transpose() * slope).tolist(), self.B.transpose()
 
         def within(cell: Box) -> bool:
             force = matrix_at(self.slope, self._there(cell))
-            held = (across * self.B).inv() * (across * force) + own
+            held = ((across * self.B).inv() * (across * force)).tolist()
             return all(
-                bool(a - held[i, 0] > lo) and bool(b - held[i, 0] < hi)
-                for i, ((a, b), (lo, hi)) in enumerate(zip(d, sides, strict=True))
+                bool(a - v - y > lo and b - v - y < hi and v - b > low and v - a < high)
+                for (v,), (y,), (a, b), (lo, hi), (low, high) in zip(
+                    held, own, d, sides, self.input_limits, strict=True
+                )
             )
 
         return by_bisection(self.theta, within, _DEPTH, sizes=widths(self.theta))

@@ -123,8 +123,8 @@ INTEGRAL_IS_NOT_COVERED = (
 
 
 INTEGRAL_IS_TOO_SMALL = (
-    "nothing is proved of the integral action: its limits are not proved to leave room for every "
-    "disturbance and parameter in their ranges"
+    "nothing is proved of the integral action: its limits, or those of u, are not proved to leave "
+    "room for every disturbance and parameter in their ranges"
 )
 
 
@@ -294,7 +294,7 @@ def integral(
 
     Without a range of disturbances: of all for which the limits of ζ are enough.
     """
-    bounds = ", ".join(f"{down(v, 6)}" for v in limits)
+    bounds = ", ".join((_at_most(v) if disturbance else down(v, 6)) for v in limits)
     pushes = ", ".join(f"[{lo}, {hi}]" for lo, hi in disturbance)
     sides = ", ".join(f"{name} ± {down(width, 6)}" for name, width in box.items())
     known = "".join(f", {name} in [{lo}, {hi}]" for name, (lo, hi) in ranges.items())
@@ -310,24 +310,26 @@ def integral(
 
 def local_integral(
     limits: Sequence[float],
-    ranges: Mapping[str, Sequence[str]],
+    uncertain: Mapping[str, Sequence[str]],
     disturbance: Sequence[Sequence[str]] = (),
+    inputs: Sequence[Sequence[float]] = (),
 ) -> str:
-    """Of the limits of ζ and what is unknown, of a plant with fewer inputs than coordinates.
+    """Of the limits of ζ and u and what is unknown; fewer inputs than coordinates.
 
-    Without a range of disturbances: of all for which the limits of ζ are enough.
+    Without a range of disturbances: of all for which the limits are enough.
     """
-    bounds = ", ".join(f"{down(v, 6)}" for v in limits)
+    bounds = ", ".join((_at_most(v) if disturbance else down(v, 6)) for v in limits)
     pushes = ", ".join(f"[{lo}, {hi}]" for lo, hi in disturbance)
-    known = "".join(f", {name} in [{lo}, {hi}]" for name, (lo, hi) in ranges.items())
-    enough = f" whose ζ* is within ±({bounds})"
+    known = "".join(f", {name} in [{lo}, {hi}]" for name, (lo, hi) in uncertain.items())
+    kept = f" and u at rest strictly within {ranges(inputs)}" if inputs else ""
+    enough = f" with ζ* strictly within ±({bounds}){kept}"
     if pushes:
-        known, enough = f" in {pushes}{known}", f", ζ* within ±({bounds})"
+        known, enough = f" in {pushes}{known}", f", ζ* strictly within ±({bounds}){kept}"
     return (
         "locally, with integral action: the loop rests at q* and is exponentially stable there, so "
         "that q → q* without offset from near enough, for every constant "
-        f"disturbance{known}{enough}; no region is claimed of it, and what else is claimed of "
-        "solutions is of the loop with ζ = 0"
+        f"disturbance of the inputs{known}{enough}; no region is claimed of it, and what else is "
+        "claimed of solutions is of the loop with ζ = 0"
     )
 
 
@@ -560,6 +562,12 @@ def down(value: float, digits: int) -> str:
 def up(value: float, digits: int) -> str:
     """A number in words that is at least as large."""
     return _shown(value, digits, ROUND_CEILING)
+
+
+def _at_most(value: float) -> str:
+    """A bound as it is where six digits are enough for the double, else rounded up."""
+    text = f"{value:.6g}"
+    return text if float(text) == value else up(value, 6)
 
 
 def _shown(value: float, digits: int, rounding: str) -> str:

@@ -57,30 +57,17 @@ def input_level(
     """
     if not _covered(potential):
         return None
-    level = _level_by(True, potential, cells, ceiling, bottom)
-    if level < ceiling:  # where V decides, and not u, other cells do
-        level = max(level, _level_by(False, potential, cells, ceiling, bottom))
-    return level if level > bottom else None
-
-
-def _level_by(
-    steep: bool, potential: Potential, cells: Interval, ceiling: float, bottom: float
-) -> float:
-    """The level that is proved by halving cells where u changes most, or across the longest."""
-    levels, sides = _levels(potential, cells), (cells.hi - cells.lo).max(0)
-    for left in range(_ROUNDS, 0, -1):
+    levels = _levels(potential, cells)
+    for _ in range(_ROUNDS):
         worst = np.argsort(levels)[:_WORST]
         if _eased(levels, bottom) >= ceiling:
             break
-        if int((levels <= bottom).sum()) > left * _WORST:
-            return -np.inf
-        middle = cells[worst].mid
-        slopes = _steepness(potential, middle) if steep else np.zeros(middle.shape)
-        pieces = _halved(cells[worst], slopes, sides)
+        pieces = _halved(cells[worst], cells)
         others = np.setdiff1d(np.arange(len(levels)), worst)
         levels = np.concatenate([levels[others], _levels(potential, pieces)])
         cells = concatenate(cells[others], pieces)
-    return min(_eased(levels, bottom), ceiling)
+    level = min(_eased(levels, bottom), ceiling)
+    return level if level > bottom else None
 
 
 def clipping_is_covered(design: Design) -> bool:
@@ -188,30 +175,15 @@ def _driven(potential: Potential) -> list[int]:
     return [i for i in potential.active if any(used[i, :])]
 
 
-def _halved(boxes: Interval, steep: Vector, sides: Vector) -> Interval:
-    """Each box cut across the side along which u changes most; else the longest beside `sides`."""
-    width = boxes.hi - boxes.lo
-    change = np.nan_to_num(steep * width, nan=0.0, posinf=0.0)
-    rises = (change > 0).any(1, keepdims=True)
-    axis = np.argmax(np.where(rises, change, width / sides), axis=1)
+def _halved(boxes: Interval, like: Interval) -> Interval:
+    """Each box cut across its side that is the longest against the first cells."""
+    sides = boxes.hi - boxes.lo
+    axis = np.argmax(sides / (like.hi - like.lo).max(0), axis=1)
     rows = np.arange(len(axis))
     middle = boxes.mid[rows, axis]
     lo, hi = boxes.lo.copy(), boxes.hi.copy()
     lo[rows, axis], hi[rows, axis] = middle, middle
     return concatenate(Interval(boxes.lo, hi), Interval(lo, boxes.hi))
-
-
-def _steepness(potential: Potential, y: Vector) -> Vector:
-    """Slopes of u at points with the momenta at rest, as shares of its range, (B, active).
-
-    The greatest of the inputs, in floats; no proof rests on it.
-    """
-    lo, hi = np.array(potential.design.loop.plant.u_limits, float).T
-    z = np.zeros((len(y), potential.design.loop.n))
-    z[:, list(potential.active)] = y
-    with np.errstate(all="ignore"):
-        slopes = potential.design.lyapunov.input_slopes(z)[:, :, list(potential.active)]
-        return np.asarray(np.abs(slopes / (hi - lo)[:, None]).max(1), float)
 
 
 def _levels(potential: Potential, cells: Interval) -> Vector:

@@ -134,6 +134,14 @@ class IntegralTerms(Remainders):
 
     def resting(self, disturbance: Sequence[Range]) -> Interval:
         """ζ* for every disturbance, in the units of the model, and every θ; (m,), natural units."""
+        xi = self.xi_bar
+        if xi is None:
+            raise ValueError("ξ̄ is not enclosed")
+        slope = self._hc(coordinates(xi[None])).grad[0]
+        return -self.inputs_at_rest(disturbance) - matmul(transposed(self.Gc), slope[:, None])[:, 0]
+
+    def inputs_at_rest(self, disturbance: Sequence[Range]) -> Interval:
+        """(BᵀB)⁻¹Bᵀ∇U(q*; θ) − d, the u that holds q*, for the same; (m,), natural units."""
         units, m = self.input_units, self.m
         B = sp.Matrix(self.plant.B)
         force = (B.T * B).inv() * B.T * gradient(self.plant.U, self.plant.q).subs(self.there)
@@ -141,17 +149,12 @@ class IntegralTerms(Remainders):
         cells = subdivide(self.theta, _PARTS) if 0 < len(self.theta.lo) <= _MOST_CUT else theta
         weight = matrix_enclosure(force, tuple(self.plant.ranges), cells)[..., 0]
         held = Interval(weight.lo.min(axis=0), weight.hi.max(axis=0))
-        xi = self.xi_bar
-        if xi is None:
-            raise ValueError("ξ̄ is not enclosed")
-        slope = self._hc(coordinates(xi[None])).grad[0]
-        own = matmul(transposed(self.Gc), slope[:, None])[:, 0]
         pushed = [tuple(map(constant, side)) for side in disturbance]
         d = Interval(
             np.array([lo.lo for lo, _ in pushed]).reshape(m),
             np.array([hi.hi for _, hi in pushed]).reshape(m),
         )
-        return d * point(1 / units) - held - own
+        return held - d * point(1 / units)
 
     @cached_property
     def _closed(self) -> sp.Expr:

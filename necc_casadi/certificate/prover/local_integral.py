@@ -66,7 +66,9 @@ def prove_local_integral(
     if not enclosed or any(is_zero(v) is not True for v in plant.unheld(star)):
         return Claim("local_integral", False, statements.INTEGRAL_IS_NOT_COVERED)
     resting = terms.resting(disturbance) if disturbance else None
-    if resting is not None and not np.all(resting.magnitude < terms.limit):
+    if resting is not None and not (
+        np.all(resting.magnitude < terms.limit) and _is_held(terms, disturbance)
+    ):
         return Claim("local_integral", False, statements.INTEGRAL_IS_TOO_SMALL)
     with np.errstate(all="ignore"):
         if not _is_stable(terms):
@@ -78,7 +80,17 @@ def prove_local_integral(
         data["disturbance"] = [list(side) for side in pushes]
         data["resting"] = [list(side) for side in zip(*told_outwards(resting), strict=True)]
     limits = [float(v) for v in design.integral.limit]
-    return Claim("local_integral", True, statements.local_integral(limits, ranges, pushes), data)
+    text = statements.local_integral(limits, ranges, pushes, loop.plant.u_limits or ())
+    return Claim("local_integral", True, text, data)
+
+
+def _is_held(terms: IntegralTerms, disturbance: Sequence[Range]) -> bool:
+    """Whether the u that holds the target is strictly within its limits, if it has any."""
+    limits = terms.design.loop.plant.u_limits
+    if limits is None:
+        return True
+    (low, high), u = np.array(limits, float).T, terms.inputs_at_rest(disturbance)
+    return bool(np.all((low < u.lo) & (u.hi < high)))
 
 
 def _is_stable(terms: IntegralTerms) -> bool:

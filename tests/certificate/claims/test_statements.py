@@ -250,3 +250,11 @@ def test_numbers_are_shown_on_the_safe_side(value, digits):
     low, high = (float(f(value, digits)) for f in (statements.down, statements.up))
     assert low <= value <= high
     assert high - low <= 2 * 10.0 ** (1 - digits) * abs(value)
+
+
+def test_limits_of_integral_action_are_conditions_rounded_down_and_bounds_rounded_up():
+    pushes = [("-1", "1")]
+    assert "with ζ* strictly within ±(1.23456)" in statements.local_integral([1.23456789], {})
+    assert ", ζ* strictly within ±(1.23457)" in statements.local_integral([1.23456789], {}, pushes)
+    assert ", ζ* strictly within ±(1.8)" in statements.local_integral([1.8], {}, pushes)
+    assert ", ζ* within ±(1.23457)" in statements.integral(1.0, {}, [1.23456789], {}, pushes)

@@ -6,6 +6,7 @@ from itertools import product
 import numpy as np
 import pytest
 from helpers.sampled import held_input, limited_around, plant_after, sampled_step, with_limits
+from helpers.velocity import arm
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -15,7 +16,7 @@ from necc_casadi.certificate.prover.arithmetic.affine import (
     affine_matrices,
     negative_definite,
 )
-from necc_casadi.certificate.prover.arithmetic.intervals import Interval
+from necc_casadi.certificate.prover.arithmetic.intervals import Interval, point
 from necc_casadi.certificate.prover.arithmetic.potential import Potential
 from necc_casadi.certificate.prover.certify import certify, with_sampled_loop
 from necc_casadi.certificate.prover.sampled import prove
@@ -140,6 +141,28 @@ def test_the_form_says_what_a_step_does_to_w(designs, form, integrator, width, c
     if width == 0.0:  # and the enclosure is worth something
         assert known.all()
         assert np.median(slack) < 0.3 * np.median(np.abs(change))
+
+
+@pytest.mark.parametrize("integrator", ["euler", "heun"])
+def test_inputs_are_clipped_one_by_one_whatever_couples_their_damping(integrator):
+    """𝒟 neither symmetric nor without a block between the inputs and ξ."""
+    design, rng, count = arm(), np.random.default_rng(3), 20
+    object.__setattr__(design.loop.plant, "inertia", None)  # the law is fed p
+    root, skew = rng.normal(size=(2, 4, 4))
+    damping = root @ root.T + np.eye(4) + skew - skew.T
+    design = replace(design, damping=damping).natural
+    z = design.z_bar + rng.uniform(-0.3, 0.3, (count, 6)) * [1, 1, 1, 1, 0.1, 0.1]
+    design = limited_around(design, z, 0.2)
+    asked, held = design.control(z[:, :4], z[:, 4:])[0], held_input(design, z)[0]
+    assert (asked != held).mean() > 0.5
+    s = rng.uniform(0, 0.02, count)
+    sample = Step(Potential(design), integrator).over(point(z), point(s))
+    g, moved = design.lyapunov.gradient(z), sampled_step(design, z, s, integrator) - z
+    said = s[:, None] * np.einsum("bij,bj->bi", sample.step.center, g)
+    parts = np.abs(np.einsum("bkij,bj->bki", sample.step.parts, g)).sum(1)
+    slack = s[:, None] * (parts + np.einsum("bij,bj->bi", sample.step.error, np.abs(g)))
+    assert (np.abs(moved - said) <= slack + 1e-12).all()
+    assert np.median(slack) < 1e-3 * np.median(np.abs(moved))
 
 
 def test_nothing_is_said_where_the_law_without_damping_is_beyond_the_limits(default_design):

@@ -97,8 +97,8 @@ class ComponentProof(RegionProof):
         best: float | None = None
         height = self.component.level - self.bottom
         most = (highest_at_rest(potential) - self.bottom) / height
-        high = top = min(1.0, most) if most > 0 else 1.0
-        for share in (top * share for share in _SHARES):
+        high = min(1.0, most) if most > 0 else 1.0
+        for share in (high * share for share in _SHARES):
             found = below(self._level(share))
             best = _larger(best, found)
             if found is not None:

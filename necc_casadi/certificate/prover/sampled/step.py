@@ -123,8 +123,9 @@ class Step:
         flow, apart, *more = made[2 * len(blocks) :]
         curved_flow = None if bent is None else more.pop(0)
         for i, channel in enumerate(more):
-            lost = _constant((shares[:, i] - 1.0).mid[:, None, None], flow)
-            lost.parts[:, first + count + i] = shares[:, i].rad[:, None, None]
+            share = shares[:, i] - 1.0
+            lost = _constant(share.mid[:, None, None], flow)
+            lost.parts[:, first + count + i] = share.rad[:, None, None]
             flow = flow + channel.scaled(lost)
         A = _among(slopes, 0, every) + apart
         factor = self._factor(period, A, curved_flow, s.hi)
