@@ -26,6 +26,7 @@ import sympy as sp
 from necc_casadi import Certificate, Design, make_model, run
 from necc_casadi.certificate.checker.check import check
 from necc_casadi.certificate.prover.certify import certify
+from necc_casadi.certificate.prover.everywhere import prove_everywhere
 from necc_casadi.certificate.prover.family import prove_family
 from necc_casadi.certificate.prover.integral import prove_integral
 from necc_casadi.certificate.prover.setpoints import prove_setpoints
@@ -93,6 +94,27 @@ void follow(int count, double *starts, const double *all, int width, const doubl
         o[0] = first;
         o[1] = least;
         memcpy(o + 2, y, NECC_NX * sizeof *y);
+    }
+}
+/* From each start (y, xi): (y, xi) after every so many samples, u held over each. */
+void trace(int count, double *starts, const double *all, int width, long times, long every,
+           double dt, double *out) {
+    const int wide = NECC_NX + NECC_NXI;
+    for (int row = 0; row < count; row++) {
+        double *y = starts + (long)row * wide, u[NECC_NU];
+        const double *p = all + (long)row * width;
+        necc_state s;
+        necc_init(&s);
+        memcpy(s.xi, y + NECC_NX, sizeof s.xi);
+        for (long k = 0; k < times * every; k++) {
+            double *o = out + ((long)row * times + k / every) * wide;
+            necc_step(&s, y, u, k ? dt : 0);
+            if (k % every == 0) {
+                memcpy(o, y, NECC_NX * sizeof *y);
+                memcpy(o + NECC_NX, s.xi, sizeof s.xi);
+            }
+            sample(y, u, p, dt);
+        }
     }
 }
 #if NECC_HAS_PARAMETER
@@ -462,12 +484,64 @@ def payload_on_the_arm(rows: int, folder: Path) -> list[tuple[str, str, str]]:
     return lines + no_offset(model, name, sides, 1.0, rows, folder, 0.001, 30_000)
 
 
+def any_payload_from_anywhere(rows: int, folder: Path) -> list[tuple[str, str, str]]:
+    """The arm for every payload and start, the claim `everywhere`: V of none rises."""
+    model, name = arm(), "arm, payload 0 … 1 kg not known: claim everywhere"
+    ranges = Ranges(uncertain={"mp": (sp.Integer(0), sp.Integer(1))})
+    found = run(replace(model, ranges=ranges), convex=True, plots=False)
+    made, proof = found.design, found.certificate
+    family = lift(made, ranges, model.parametric)
+    claim, seconds = timed(lambda: prove_everywhere(family))
+    if not claim.holds:
+        return [(name, "1 s", f"NOT proved: {claim.statement}")]
+    saved(folder, made, proof, model, family)
+    again, checking = checked(folder, "everywhere")
+    lines = [(
+        f"{name}: proved, checked", "1 s",
+        f"{seconds:.2f} s, {checking:.1f} s, {'holds' if again else 'DOES NOT HOLD'}",
+    )]  # fmt: skip
+    rng, times, every, dt = np.random.default_rng(5), 25, 250, 0.004
+    payload = within(rng, {"mp": (0.0, 1.0)}, rows)
+    values = np.hstack([payload, np.zeros((rows, 2))])
+    starts = np.hstack([rng.uniform(-6, 6, (rows, 4)), rng.uniform(-3, 3, (rows, 2))])
+    with tempfile.TemporaryDirectory() as build:
+        library = compiled(folder, model, ["mp"], Path(build))
+    out, pointer = np.zeros((rows, times, 6)), ctypes.POINTER(ctypes.c_double)
+    arrays = [np.ascontiguousarray(a, float) for a in (starts, values, out)]
+    s, p, o = (a.ctypes.data_as(pointer) for a in arrays)
+    library.trace(rows, s, p, 3, ctypes.c_long(times), ctypes.c_long(every),
+                  ctypes.c_double(dt), o)  # fmt: skip
+    V = energies(family, model, arrays[-1].reshape(-1, 6), np.repeat(payload[:, 0], times))
+    V = V.reshape(rows, times)
+    rises = np.diff(V, axis=1) / (1 + np.abs(V[:, :1]))
+    speed = np.abs(arrays[-1][:, -1, 2:4]).max(axis=1)
+    text = (
+        f"{int((rises > 1e-7).any(axis=1).sum())} rise, the most by {rises.max():.1g} of V; "
+        f"{int((speed > 1e-3).sum())} still move after {times * every * dt:g} s"
+    )
+    return [*lines, (f"attack: arm from anywhere, {rows} of (payload, start)", "0", text)]
+
+
+def energies(family: Family, model: Model, rows: np.ndarray, payload: np.ndarray) -> np.ndarray:
+    """V of each member at rows of (q, q̇, ξ), momenta with the member's own inertia."""
+    x, H = model.system.x, model.parametric.H
+    theta = sp.Symbol("mp", real=True)
+    known = {sp.Symbol(k, real=True): v for k, v in model.parametric.values.items() if k != "mp"}
+    M = sp.simplify(sp.hessian(H, x[2:]).inv()).subs(known)
+    v = sp.Matrix(sp.symbols("v0:2", real=True))
+    momenta = sp.lambdify([x[0], x[1], *v, theta], list(M * v))
+    p = np.array(momenta(*rows[:, :4].T, payload))
+    z = np.vstack([rows[:, :2].T, p, rows[:, 4:].T])
+    values = [payload if q.name == "mp" else np.zeros(len(payload)) for q in family.parameters]
+    return np.array(family.V_function.map(len(payload))(z, np.array(values))).ravel()
+
+
 def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--rows", type=int, default=10_000)
     parser.add_argument("--samples", type=int, default=100_000)
-    parser.add_argument("--only", choices=("family", "setpoints", "integral", "arm"))
+    parser.add_argument("--only", choices=("family", "setpoints", "integral", "arm", "everywhere"))
     given = parser.parse_args()
     print("| | goal | measured |\n|---|---|---|")
     tenth = sp.Rational(1, 10)
@@ -478,7 +552,7 @@ def main() -> None:
             print(f"| {' | '.join(line)} |", flush=True)
 
     with tempfile.TemporaryDirectory() as place:
-        folders = [Path(place) / str(i) for i in range(4)]
+        folders = [Path(place) / str(i) for i in range(5)]
         for folder in folders:
             folder.mkdir()
         if given.only in (None, "family"):
@@ -490,6 +564,8 @@ def main() -> None:
                            given.rows, folders[2], 0.01, 5_000))  # fmt: skip
         if given.only in (None, "arm"):
             show(payload_on_the_arm(given.rows, folders[3]))
+        if given.only in (None, "everywhere"):
+            show(any_payload_from_anywhere(given.rows, folders[4]))
 
 
 if __name__ == "__main__":

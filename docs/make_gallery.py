@@ -247,7 +247,7 @@ def outcome(run: Run) -> str:
         count = f"{len(published.casimirs.functions)} of {published.casimirs.generic_count}"
         rows.append(f"- Casimirs of the published loop: {casimirs} ({count})")
         rows.append(f"- Verdict on it: {verdict_text(published.verdict)}")
-    methods = [(label, text.replace("*", r"\*")) for label, text in method_rows(found.found)]
+    methods = [(label, text.replace("*", r"\*")) for label, text in method_rows(found)]
     rows += [f"- {label or '…'}: {text}" for label, text in methods]
     if found.design is None or found.certificate is None:
         return "\n".join(rows) + "\n"

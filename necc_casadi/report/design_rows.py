@@ -97,8 +97,11 @@ def sampled_text(sampling: SampledLoop, certificate: Certificate | None) -> str:
     if certificate is None or region is None:
         return f"{local}; from no region it is proved to converge"
     units = certificate.units
+    from necc_casadi.certificate.claims.statements import down
+
+    longest = down(region.period * units.time, 4)
     return (
-        f"proved to converge from a region for all periods up to {region.period * units.time:.4g} "
+        f"proved to converge from a region for all periods up to {longest} "
         f"s{', with u clipped to its limits' if region.clipped else ''}{_disturbed(certificate)}; "
         f"{local}"
     )
@@ -106,6 +109,8 @@ def sampled_text(sampling: SampledLoop, certificate: Certificate | None) -> str:
 
 def _disturbed(certificate: Certificate) -> str:
     """How near it stays under what it was asked to bear."""
+    from necc_casadi.certificate.claims.statements import down, up
+
     found, units = certificate.disturbed, certificate.units
     if found is None:
         return ""
@@ -113,10 +118,11 @@ def _disturbed(certificate: Certificate) -> str:
     borne += ["noise"] if any(found.noise) else []
     borne += ["errors of u"] if any(found.input_error) else []
     borne += ["a delay of one sample"] if found.delay is not None else []
-    radii = ", ".join(f"{r * unit:.2g}" for r, unit in zip(found.radius, units.state, strict=False))
+    radii = ", ".join(up(r * unit, 2) for r, unit in zip(found.radius, units.state, strict=False))
+    shortest, longest = up(found.shortest * units.time, 4), down(found.period * units.time, 4)
     return (
-        f", and with {', '.join(borne)} and periods from {found.shortest * units.time:.4g} to "
-        f"{found.period * units.time:.4g} s to come within ({radii}) of z̄ and stay there"
+        f", and with {', '.join(borne)} and periods from {shortest} to {longest} s to come within "
+        f"({radii}) of z̄ and stay there"
     )
 
 

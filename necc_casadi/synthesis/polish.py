@@ -5,7 +5,8 @@
 over θ (rollouts.py): Jₛ what the response from start s costs with inputs clipped, Jₛ* the least
 that any controller pays there. The square makes the worst starts count most. The shape is the
 log-det divergence of ∇²V(z*) − aI from where it began, a barrier at the same time. ∇V(z*) is affine
-in θ, and steps are in the kernel of its slope: it stays 0 throughout.
+in θ, and steps are in the kernel of its slope: it stays 0 throughout. Where the fastest mode would
+take too many steps to follow the slowest one, quadratic parts, T and the damping move alone.
 
 Steps that raise the objective, or make the loop too fast for the grid of the responses, are tried
 again shorter (Levenberg and Marquardt). A certificate says afterwards what is proved.
@@ -71,8 +72,8 @@ _GAIN = 1e-3
 _FINE, _COARSE = 0.5, 1.5
 
 
-#: Points of a response at most.
-_MOST_POINTS = 600
+#: Points of a response at most; of more, up to so many, where networks stay as they are.
+_MOST_POINTS, _MOST_WITHOUT_NETWORKS = 600, 800
 
 
 #: Of the time in which the slowest mode settles, after which LQR's cost is taken.
@@ -109,7 +110,10 @@ def polished(program: LeastCost, found: Responsive | None) -> Responsive | None:
     began = time.perf_counter()
     if not is_plain(program.plan, program.options):
         return None
-    search = _Search(program, program.begin(found))
+    begin = program.begin(found)
+    search = _Search(program, begin)
+    if search.is_long:
+        search = _Search(program, begin, networks=False)
     if not search.may_follow:
         return None
     first = search.first()
@@ -129,11 +133,11 @@ def polished(program: LeastCost, found: Responsive | None) -> Responsive | None:
 class _Search:
     """Steps from one V and damping."""
 
-    def __init__(self, program: LeastCost, begin: Begin) -> None:
-        self.program, plan = program, program.plan
+    def __init__(self, program: LeastCost, begin: Begin, networks: bool = True) -> None:
+        self.program, plan, self.networks = program, program.plan, networks
         kappa_min = plan.anchor.kappa_min
         self.moving = Moving(
-            program.lifting, kappa_min, begin.weights, begin.xi_star, program.damping
+            program.lifting, kappa_min, begin.weights, begin.xi_star, program.damping, networks
         )
         self.z_star = np.concatenate([plan.x, begin.xi_star])
         self.theta = self.moving.first(begin.eta, begin.gain)
@@ -146,6 +150,7 @@ class _Search:
         self.slopes = ca.Function("slopes", [theta], slopes)
         self.kernel = self._kernel()
         self.gap_at_start = np.asarray(self.gap(self.theta), float)
+        self.is_long = False  # too long for networks to move
         self.rollouts, self.may_follow = self._rollouts()
         self.best = self._least_costs() if self.may_follow else np.ones(0)
 
@@ -202,8 +207,17 @@ class _Search:
         fastest = float(np.abs(spectrum).max())
         if plant.linear is None or not spectrum.real.max() < 0:
             return rollouts, False
-        horizon = _SHARE * settled_in(spectrum)
-        points = min(int(np.ceil(horizon * fastest / _FINE)), _MOST_POINTS)
+        horizon, most = _SHARE * settled_in(spectrum), _MOST_POINTS
+        if horizon * fastest / _FINE > most:
+            if self.networks:
+                self.is_long = True
+                return rollouts, False
+            # LQR's cost, taken for the rest, then stands for a slow mode that is left
+            of_lqr = np.linalg.eigvals(plant.A - plant.B @ plant.linear.K).astype(complex)
+            most = _MOST_WITHOUT_NETWORKS
+            followed = max(most * _FINE / fastest, _SHARE * settled_in(of_lqr))
+            horizon = min(horizon, followed)
+        points = min(int(np.ceil(horizon * fastest / _FINE)), most)
         rollouts = rollouts.over(horizon, points)
         finite = np.isfinite(rollouts.costs(self.theta))
         fine = bool(rollouts.step * fastest <= _COARSE / 2 and finite.any())

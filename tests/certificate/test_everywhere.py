@@ -10,6 +10,7 @@ import sympy as sp
 from helpers.certificates import checked_family
 from helpers.models import WEIGHTED
 from helpers.problems import problem, solve
+from helpers.velocity import arm_with_payload
 
 from necc_casadi.certificate.prover.certify import certify
 from necc_casadi.certificate.prover.everywhere import prove_everywhere
@@ -100,6 +101,19 @@ def test_it_is_proved_and_checked(claim, written, folder):
     assert claim.data["follows"] == "converges"
     results = checked_family(folder, *written)
     assert all(result.holds for result in results.values()), results
+
+
+@pytest.mark.slow
+def test_any_payload_of_an_arm_is_checked(tmp_path):
+    """A floor close to the least curvature, from 0 to 1 kg at once."""
+    made, many = arm_with_payload()
+    family = lift(made, Ranges(uncertain=many.ranges), many.parametric)
+    found = prove_everywhere(family)
+    assert found.holds, found.statement
+    (tmp_path / "plant.json").write_text(plant_text(made, many.parametric), encoding="utf-8")
+    certificate = json.loads(certify(made, region=False).having(found).to_json())
+    results = checked_family(tmp_path, made.text, family.text, certificate)
+    assert results["everywhere"].holds, results["everywhere"].statement
 
 
 def test_the_floor_is_below_every_curvature(family, claim):

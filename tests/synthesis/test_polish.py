@@ -13,6 +13,7 @@ from necc_casadi.designs.error_bound import natural_loss
 from necc_casadi.errors import OptionError
 from necc_casadi.model.cost import bryson
 from necc_casadi.performance.saturated import saturated
+from necc_casadi.synthesis import polish
 from necc_casadi.synthesis.options import Options
 from necc_casadi.synthesis.plan import make_plan
 from necc_casadi.synthesis.polish import _Search
@@ -92,6 +93,21 @@ def test_no_step_is_taken_to_too_little_curvature(search):
     far = search.theta - 3.0 * np.linalg.eigvalsh(gap)[0] * way / (way @ way)
     assert np.linalg.eigvalsh(np.asarray(search.gap(far), float))[0] < 0
     assert search.at(far).value == np.inf
+
+
+def test_networks_stay_where_responses_are_long(search, monkeypatch):
+    """More points than networks may move for: quadratic parts and damping alone, still cheaper."""
+    monkeypatch.setattr(polish, "_MOST_POINTS", 1)
+    begin = search.program.begin(None)
+    assert _Search(search.program, begin).is_long
+    found = polish.polished(search.program, None)
+    assert found is not None
+    assert found.after < found.before
+    first = search.moving.weights_at(search.moving.first(begin.eta))
+    np.testing.assert_allclose(
+        found.weights[search.moving.affine], first[search.moving.affine], rtol=1e-12
+    )
+    assert not np.allclose(found.weights[search.moving.kappa], first[search.moving.kappa])
 
 
 @pytest.mark.slow

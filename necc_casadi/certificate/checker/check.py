@@ -78,6 +78,7 @@ def check(folder: Path) -> tuple[Checked, ...]:
         found += _of_family(evidence, folder, own, plant, found)
         results = [_as_worded(evidence, result) for result in found]
         contents = check_contents(evidence, results)
+        near = evidence.certificate.disturbed
     except _UNREADABLE as problem:
         raise unreadable(folder, problem) from None
     same = evidence.certificate.design_hash == own
@@ -86,7 +87,12 @@ def check(folder: Path) -> tuple[Checked, ...]:
     if not (same and whole):
         text = "design.json has changed" if not same else "the model in design.json was edited"
     first = Checked("design", same and whole, text)
-    return first, *results, contents, *check_code(folder, design_text)
+    return (
+        first,
+        *results,
+        contents,
+        *check_code(folder, design_text, None if near is None else near.precision),
+    )
 
 
 def _of_family(

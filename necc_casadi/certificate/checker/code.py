@@ -12,6 +12,7 @@ from pathlib import Path
 
 from necc_casadi.certificate.checker.evidence import Checked
 from necc_casadi.certificate.claims.claim import CERTIFICATE_FILE, DESIGN_FILE
+from necc_casadi.certificate.claims.rounding import Number
 from necc_casadi.files import hash_of, read_listing, read_text
 from necc_casadi.texts import escaped
 
@@ -27,8 +28,13 @@ _LARGEST = 1 << 28  # bytes
 _NAMED = "c/necc.h and c/necc.c name this design, c/necc.h this certificate, and files.json each "
 
 
-def check_code(folder: Path, design_text: str) -> tuple[Checked, ...]:
-    """The claim of c/: by hashes in its files, and of its files; none where there is no code."""
+def check_code(
+    folder: Path, design_text: str, precision: Number | None = None
+) -> tuple[Checked, ...]:
+    """The claim of c/: by hashes in its files, and of its files; none where there is no code.
+
+    With a `precision` something is claimed of its rounding, which is that of this type.
+    """
     listed = {
         path: digest for path, digest in (read_listing(folder) or {}).items() if path[:2] == "c/"
     }
@@ -41,6 +47,10 @@ def check_code(folder: Path, design_text: str) -> tuple[Checked, ...]:
         return (Checked("code", False, f"c/ cannot be read: {escaped(str(problem))[:200]}"),)
     design = hashlib.sha256(design_text.encode()).hexdigest()
     faults = [
+        (
+            precision is not None and _type(header) != precision,
+            f"{_HEADER} does not compute in {precision}, whose rounding is claimed",
+        ),
         (_defined(header, "DESIGN") != design, f"{_HEADER} is not of this {DESIGN_FILE}"),
         (
             _defined(header, "CERTIFICATE") != hash_of(folder / CERTIFICATE_FILE),
@@ -55,6 +65,12 @@ def check_code(folder: Path, design_text: str) -> tuple[Checked, ...]:
     ]
     wrong = next((text for fails, text in faults if fails), None)
     return (Checked("code", wrong is None, statement if wrong is None else wrong),)
+
+
+def _type(header: str) -> str | None:
+    """Of the numbers of the code; None: the header does not say it once."""
+    found = re.findall(r"^typedef (float|double) [A-Za-z]\w*_real;$", header, re.MULTILINE)
+    return found[0] if len(found) == 1 else None
 
 
 def _defined(header: str, name: str) -> str | None:

@@ -7,6 +7,7 @@ the target (z̄ − z*)ᵀF(z̄ − z*) ≤ gᵀF⁻¹g.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from itertools import product
 
 import sympy as sp
 from flint import arb, arb_mat
@@ -33,7 +34,7 @@ __all__ = ["StoredWhole", "check_everywhere"]
 
 
 #: Half a period, a little more than π; how often a box of states and ϑ, and one of ϑ, is halved.
-_HALF_PERIOD, _ANGLES, _RANGES = 3.15, 18, 14
+_HALF_PERIOD, _ANGLES, _RANGES = 3.15, 22, 14
 
 
 def check_everywhere(evidence: Evidence, members: StoredMembers) -> Checked:
@@ -156,7 +157,11 @@ class _Everywhere(StoredWhole):
         return total
 
     def _holds(self, matrix: sp.Matrix, test: Callable[[arb_mat], bool]) -> bool:
-        """Whether a test of a matrix holds for all states and ϑ."""
+        """Whether a test of a matrix holds for all states and ϑ.
+
+        What is positive definite at both ends of a ϑᵢ that the matrix has to the first power is so
+        between them.
+        """
         seen = sp.Matrix(*matrix.shape, self._seen(list(matrix)))
         used, sides = sorted(seen.free_symbols, key=str), []
         for s in used:
@@ -171,7 +176,15 @@ class _Everywhere(StoredWhole):
             values = {v: ball(*side) for v, side in zip(used, cell, strict=True)}
             return test(evaluated(seen, values))
 
-        return by_bisection(tuple(sides), at, _ANGLES, sizes=widths(tuple(sides)))
+        def ends(s: sp.Symbol, side: tuple[float, float]) -> Box:
+            affine = s in self.family.symbols and all(
+                is_zero(sp.diff(sp.diff(e, s), s)) is True for e in set(seen) if e.has(s)
+            )
+            return tuple((v, v) for v in side) if affine else (side,)
+
+        corners = product(*(ends(s, side) for s, side in zip(used, sides, strict=True)))
+        sizes = widths(tuple(sides))
+        return all(by_bisection(corner, at, _ANGLES, sizes=sizes) for corner in corners)
 
     def _rests_within(self) -> bool:
         """|x̄ᵢ − xᵢ*|² ≤ (F⁻¹)ᵢᵢ gᵀF⁻¹g for every ϑ, and momenta at 0."""

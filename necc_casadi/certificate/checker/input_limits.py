@@ -144,7 +144,7 @@ def check_input_limits(evidence: Evidence, proof: RegionProof | None, sound: boo
 
 
 def _keeps_signs(model: StoredDesign) -> bool:
-    """Whether B of u = u₀ + Bũ is diagonal, constant and positive."""
+    """Whether B of u = u₀ + Bũ is diagonal and positive, whatever the state."""
     if model.ahead is None:
         return True
     B, m = model.ahead.gain, model.m

@@ -54,6 +54,7 @@ class DisturbedRegion:
     level: float  # w₁, of W or of S
     height: float  # w₁ − V(z̄) is at least this
     rate: float  # Π ⪯ −rate CᵀC on every box
+    slope: float  # W falls where |C∇V| is larger, as it is outside of the first core
     tree: str
     cores: tuple[Core, ...]  # solutions come into one after the other
     above: float  # w_∞ − V(z̄)

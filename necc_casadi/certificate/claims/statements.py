@@ -54,6 +54,7 @@ __all__ = [
     "conserved",
     "disturbed",
     "disturbed_is_not_covered",
+    "down",
     "equilibrium",
     "input_limits",
     "integral",
@@ -71,6 +72,7 @@ __all__ = [
     "setpoints",
     "slope",
     "unproved",
+    "up",
 ]
 
 
@@ -265,7 +267,7 @@ def equilibrium(radius: float, mu: float, bound: float) -> str:
     """Of the ball around z*, ∇²V ⪰ μI on it and the distance of z̄, all in natural units."""
     return (
         f"in natural units V has exactly one critical point z̄ within {radius:.17g} of z*, ∇²V ⪰ "
-        f"{_down(mu, 3)} I there, and ‖z̄ − z*‖ ≤ {_up(bound, 3)}"
+        f"{down(mu, 3)} I there, and ‖z̄ − z*‖ ≤ {up(bound, 3)}"
     )
 
 
@@ -278,7 +280,7 @@ def slope(delta: float | None) -> str:
     """Of Φ₁; None for the sum."""
     if delta is None:
         return "Φ = H + Hc + C, so Φ₁ = 1"
-    return f"Φ₁ ≥ {_down(delta, 6)} everywhere, by construction of the neural Φ"
+    return f"Φ₁ ≥ {down(delta, 6)} everywhere, by construction of the neural Φ"
 
 
 def integral(
@@ -292,15 +294,15 @@ def integral(
 
     Without a range of disturbances: of all for which the limits of ζ are enough.
     """
-    bounds = ", ".join((_at_most(v) if disturbance else _down(v, 6)) for v in limits)
+    bounds = ", ".join((_at_most(v) if disturbance else down(v, 6)) for v in limits)
     pushes = ", ".join(f"[{lo}, {hi}]" for lo, hi in disturbance)
-    sides = ", ".join(f"{name} ± {_down(width, 6)}" for name, width in box.items())
+    sides = ", ".join(f"{name} ± {down(width, 6)}" for name, width in box.items())
     known = "".join(f", {name} in [{lo}, {hi}]" for name, (lo, hi) in ranges.items())
     enough = f" whose ζ* is within ±({bounds})"
     if pushes:
         known, enough = f" in {pushes}{known}", f", ζ* within ±({bounds})"
     return (
-        f"with integral action every solution that starts with W ≤ {_down(level, 6)} and {sides} "
+        f"with integral action every solution that starts with W ≤ {down(level, 6)} and {sides} "
         "about its place at rest stays there, and q → q* without offset, for every constant "
         f"disturbance{known}{enough}; what else is claimed of solutions is of the loop with ζ = 0"
     )
@@ -316,7 +318,7 @@ def local_integral(
 
     Without a range of disturbances: of all for which the limits are enough.
     """
-    bounds = ", ".join((_at_most(v) if disturbance else _down(v, 6)) for v in limits)
+    bounds = ", ".join((_at_most(v) if disturbance else down(v, 6)) for v in limits)
     pushes = ", ".join(f"[{lo}, {hi}]" for lo, hi in disturbance)
     known = "".join(f", {name} in [{lo}, {hi}]" for name, (lo, hi) in uncertain.items())
     kept = f" and u at rest strictly within {ranges(inputs)}" if inputs else ""
@@ -347,12 +349,12 @@ def setpoints(
 
     Ranges are of set-points and of parameters that the controller is told.
     """
-    sides = ", ".join(f"{name} ± {_down(width, 6)}" for name, width in box.items())
+    sides = ", ".join(f"{name} ± {down(width, 6)}" for name, width in box.items())
     known = ", ".join(f"{name} in [{lo}, {hi}]" for name, (lo, hi) in ranges.items())
     return (
         f"for every set-point with {known}: every solution that starts with V at most "
-        f"{_down(level, 6)} above its value at the set-point, and {sides} about it, stays so and "
-        f"comes to rest within {_up(away, 3)} of it, in natural units"
+        f"{down(level, 6)} above its value at the set-point, and {sides} about it, stays so and "
+        f"comes to rest within {up(away, 3)} of it, in natural units"
     )
 
 
@@ -363,7 +365,7 @@ def attraction(rate: float | None) -> str:
             "z̄ is locally asymptotically stable: no motion near it but rest keeps V constant, "
             "whichever factors of the dissipation vanish along it; no rate is claimed"
         )
-    below = f"-{_down(rate, 3)}" if rate > 0 else "0"
+    below = f"-{down(rate, 3)}" if rate > 0 else "0"
     return (
         "z̄ is locally asymptotically stable: every eigenvalue of the linearisation has a real "
         f"part below {below}, by a Lyapunov inequality"
@@ -428,7 +430,7 @@ def unproved(limits: Sequence[Sequence[float]]) -> Mapping[str, frozenset[str]]:
 def region(height: float, obstacle: Obstacle, follows: Follows) -> str:
     """Of the component of {V ≤ V(z̄) + h}, and what follows for solutions from it."""
     return (
-        f"the component Ω of {{V − V(z̄) ≤ {_down(height, 6)}}} around z̄ is compact, and z̄ the only "
+        f"the component Ω of {{V − V(z̄) ≤ {down(height, 6)}}} around z̄ is compact, and z̄ the only "
         f"critical point of V in it; limited by {limited_by(obstacle)}{_FOLLOWS[follows]}"
     )
 
@@ -446,7 +448,7 @@ def limited_by(obstacle: Obstacle) -> str:
 
 def input_limits(limits: Sequence[Sequence[float]], height: float, whole: bool) -> str:
     """Of the height above V(z̄) up to which u stays within its limits, on the whole Ω or not."""
-    where = "all of Ω" if whole else f"{{V − V(z̄) ≤ {_down(height, 6)}}} in Ω"
+    where = "all of Ω" if whole else f"{{V − V(z̄) ≤ {down(height, 6)}}} in Ω"
     return (
         f"u stays within {ranges(limits)} on {where}, which is invariant: saturation never acts "
         "there"
@@ -455,7 +457,7 @@ def input_limits(limits: Sequence[Sequence[float]], height: float, whole: bool) 
 
 def clipping(limits: Sequence[Sequence[float]], height: float, whole: bool) -> str:
     """Of the height above V(z̄) up to which clipped inputs change nothing of what is said."""
-    where = "Ω" if whole else f"{{V − V(z̄) ≤ {_down(height, 6)}}} in Ω"
+    where = "Ω" if whole else f"{{V − V(z̄) ≤ {down(height, 6)}}} in Ω"
     return (
         f"with the damping of this design and every input clipped to {ranges(limits)} all that is "
         f"said of solutions holds on {where}: without damping u stays strictly within them there"
@@ -471,9 +473,9 @@ def sampled(
     region: SampledRegion, states: Sequence[str], units: Units, limits: Sequence[Sequence[float]]
 ) -> str:
     """Of the sampled loop from {W < w₀}, for all periods up to the longest."""
-    period = _down(region.period * units.time, 6)
+    period = down(region.period * units.time, 6)
     box = ", ".join(
-        f"{name} in [{_up(lo * unit, 6)}, {_down(hi * unit, 6)}]"
+        f"{name} in [{up(lo * unit, 6)}, {down(hi * unit, 6)}]"
         for name, (lo, hi), unit in list(zip(states, region.box, units.state, strict=True))[:_TOLD]
     )
     inputs = f"u stays within {ranges(limits)} there" if limits else "u is not clipped"
@@ -484,7 +486,7 @@ def sampled(
     return (
         f"for every sequence of sampling periods in (0, {period}] s whose sum is infinite, every "
         "solution of the sampled loop that starts in Ω_T, the part of {W − V(z̄) < "
-        f"{_down(region.height * units.energy, 6)}}} in the box {box}{more}, is in it at every "
+        f"{down(region.height * units.energy, 6)}}} in the box {box}{more}, is in it at every "
         "sample and converges to z̄, and between samples x stays where x of Ω_T is. W is V + "
         "½∇VᵀQ∇V with the Q of certificate.json; exact arithmetic, x measured without error, no "
         f"delay; at each sample {_ADVANCED[region.integrator]} advances ξ over the time since the "
@@ -498,24 +500,25 @@ def disturbed(
     input_units: Sequence[float],
 ) -> str:  # fmt: skip
     """Of where the sampled loop comes to and stays, under what is assumed of its disturbances."""
-    periods = f"[{_up(found.shortest * units.time, 6)}, {_down(found.period * units.time, 6)}] s"
+    periods = f"[{up(found.shortest * units.time, 6)}, {down(found.period * units.time, 6)}] s"
     noise = _within(states, found.noise, units.state)
     measured = (
         f"measured {noise}, then rounded" if noise else "x measured without error but rounded"
     )
-    applied = _within(inputs, found.input_error, input_units) or "u applied as it is computed"
-    start = f"{{W − V(z̄) < {_down(found.height * units.energy, 6)}}}"
-    limit = _up(found.above * units.energy, 3)
+    applied = _within(inputs, found.input_error, input_units)
+    applied = f"{applied} as it is applied" if applied else "u applied as it is computed"
+    start = f"{{W − V(z̄) < {down(found.height * units.energy, 6)}}}"
+    limit = up(found.above * units.energy, 3)
     late = ""
     if found.delay is not None:
         start = start.replace("W", "S", 1)
         late = (
-            ", and one sample after it was computed, where S = W + "
-            f"{_up(found.delay * found.period, 3)}|e|² in natural units, e what is applied over "
+            ", one sample after it was computed, where S = W + "
+            f"{up(found.delay * found.period, 3)}|e|² in natural units, e what is applied over "
             "the first sample less the u of the law"
         )
     pairs = zip(states, found.radius, units.state, strict=False)
-    radii = ", ".join(f"{name} ± {_up(r * unit, 3)}" for name, r, unit in pairs)
+    radii = ", ".join(f"{name} ± {up(r * unit, 3)}" for name, r, unit in pairs)
     return (
         f"for every sequence of sampling periods in {periods}, in the C code's arithmetic in "
         f"{found.precision}, {measured}, {applied}{late}: every solution from {start} in Ω_T of "
@@ -535,7 +538,7 @@ def disturbed_is_not_covered(missing: NotDisturbed) -> str:
 def _within(names: Sequence[str], sizes: Sequence[float], units: Sequence[float]) -> str:
     """Errors other than 0, by name."""
     return ", ".join(
-        f"{name} within ±{_down(size * unit, 6)}"
+        f"{name} within ±{down(size * unit, 6)}"
         for name, size, unit in zip(names, sizes, units, strict=False)
         if size > 0
     )
@@ -551,18 +554,20 @@ def ranges(limits: Sequence[Sequence[float]]) -> str:
     return ", ".join(f"[{float(lo):.12g}, {float(hi):.12g}]" for lo, hi in limits)
 
 
-def _down(value: float, digits: int) -> str:
+def down(value: float, digits: int) -> str:
+    """A number in words that is at most as large."""
     return _shown(value, digits, ROUND_FLOOR)
 
 
-def _up(value: float, digits: int) -> str:
+def up(value: float, digits: int) -> str:
+    """A number in words that is at least as large."""
     return _shown(value, digits, ROUND_CEILING)
 
 
 def _at_most(value: float) -> str:
     """A bound as it is where six digits are enough for the double, else rounded up."""
     text = f"{value:.6g}"
-    return text if float(text) == value else _up(value, 6)
+    return text if float(text) == value else up(value, 6)
 
 
 def _shown(value: float, digits: int, rounding: str) -> str:

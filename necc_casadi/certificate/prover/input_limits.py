@@ -57,19 +57,30 @@ def input_level(
     """
     if not _covered(potential):
         return None
+    level = _level_by(True, potential, cells, ceiling, bottom)
+    if level < ceiling:  # where V decides, and not u, other cells do
+        level = max(level, _level_by(False, potential, cells, ceiling, bottom))
+    return level if level > bottom else None
+
+
+def _level_by(
+    steep: bool, potential: Potential, cells: Interval, ceiling: float, bottom: float
+) -> float:
+    """The level that is proved by halving cells where u changes most, or across the longest."""
     levels, sides = _levels(potential, cells), (cells.hi - cells.lo).max(0)
     for left in range(_ROUNDS, 0, -1):
         worst = np.argsort(levels)[:_WORST]
         if _eased(levels, bottom) >= ceiling:
             break
         if int((levels <= bottom).sum()) > left * _WORST:
-            return None
-        pieces = _halved(cells[worst], _steepness(potential, cells[worst].mid), sides)
+            return -np.inf
+        middle = cells[worst].mid
+        slopes = _steepness(potential, middle) if steep else np.zeros(middle.shape)
+        pieces = _halved(cells[worst], slopes, sides)
         others = np.setdiff1d(np.arange(len(levels)), worst)
         levels = np.concatenate([levels[others], _levels(potential, pieces)])
         cells = concatenate(cells[others], pieces)
-    level = min(_eased(levels, bottom), ceiling)
-    return level if level > bottom else None
+    return min(_eased(levels, bottom), ceiling)
 
 
 def clipping_is_covered(design: Design) -> bool:
@@ -97,7 +108,7 @@ def holds_everywhere(design: Design) -> bool:
 
 
 def _keeps_signs(design: Design) -> bool:
-    """Whether B of u = u₀ + Bũ is diagonal, constant and positive."""
+    """Whether B of u = u₀ + Bũ is diagonal and positive, whatever the state."""
     ahead, m = design.loop.plant.preliminary, design.loop.plant.m
     if ahead is None:
         return True

@@ -1,15 +1,23 @@
 """The checker on where the sampled loop stays: held as it is, and forged."""
 
 import json
+import re
+from dataclasses import replace
 
 import pytest
 
 from necc_casadi.certificate.checker.check import check
-from necc_casadi.certificate.claims import statements
+from necc_casadi.certificate.checker.code import check_code
+from necc_casadi.certificate.checker.evidence import Evidence
+from necc_casadi.certificate.checker.model import StoredDesign
+from necc_casadi.certificate.checker.reading import read_folder
+from necc_casadi.certificate.checker.sampled.disturbed import _Disturbed, check_disturbed
 from necc_casadi.certificate.claims.certificate import Certificate
 from necc_casadi.certificate.claims.disturbed import DisturbedRegion
-from necc_casadi.certificate.claims.sampled import BEYOND, packed_tree
-from necc_casadi.errors import OutputError
+from necc_casadi.certificate.claims.fields import Fields
+from necc_casadi.certificate.claims.sampled import BEYOND, SampledRegion, packed_tree
+from necc_casadi.export.sampled_loop import SampledLoop
+from necc_casadi.report.design_rows import sampled_text
 
 NAMES = (("q", "p", "xi1"), ("u",))
 
@@ -20,19 +28,16 @@ def found(sampled_folder):
     return Certificate.from_json(text).disturbed
 
 
-def forged(folder, tmp_path, **changes):
-    """The verdict on the claim with entries changed, and worded as they say."""
-    certificate = Certificate.from_json((folder / "certificate.json").read_text("utf-8"))
-    data = json.loads(certificate.to_json())
+def forged(folder, **changes):
+    """The verdict on the claim alone, with entries changed, and worded as they say."""
+    _, _, design = read_folder(folder)
+    data = json.loads((folder / "certificate.json").read_text("utf-8"))
     (claim,) = [c for c in data["claims"] if c["name"] == "disturbed"]
-    claim["data"] |= changes
-    region = DisturbedRegion.read(json.loads(json.dumps(claim["data"])))
-    claim["statement"] = statements.disturbed(region, *NAMES, certificate.units, (1.0,))
-    (tmp_path / "certificate.json").write_text(json.dumps(data), encoding="utf-8")
-    (tmp_path / "design.json").write_bytes((folder / "design.json").read_bytes())
-    return {result.name: result for result in check(tmp_path)}["disturbed"]
+    claim["data"] = json.loads(json.dumps(claim["data"] | changes))
+    return check_disturbed(Evidence(StoredDesign(design), Fields(data)), True)
 
 
+@pytest.mark.slow
 def test_the_claim_is_proved_again(sampled_folder):
     results = {result.name: result for result in check(sampled_folder)}
     claim = results["disturbed"]
@@ -41,65 +46,95 @@ def test_the_claim_is_proved_again(sampled_folder):
         assert words in claim.statement
 
 
+def test_what_is_left_near_the_minimum_is_proved_again(sampled_folder):
+    """All but the boxes, which take longest."""
+    _, stored, design = read_folder(sampled_folder)
+    evidence = Evidence(StoredDesign(design), stored)
+    claims = {name: claim.data for name, claim in evidence.claims.items()}
+    region = SampledRegion.read(claims["sampled"])
+    proof = _Disturbed(evidence, region, DisturbedRegion.read(claims["disturbed"]))
+    *others, _, boxes = proof.obligations()
+    assert all(proved() for _, proved in others)
+    assert "on every box" in boxes[0]
+
+
 @pytest.mark.parametrize(
     "entry", ["radius", "above", "noise", "input_error", "shortest", "level", "height", "period"]
 )
-def test_a_little_more_than_is_proved_is_refused(sampled_folder, tmp_path, found, entry):
+def test_a_little_more_than_is_proved_is_refused(sampled_folder, found, entry):
     """A radius a tenth smaller, twice the errors, and so on."""
     factors = {"radius": 0.9, "above": 0.8, "noise": 2.0, "input_error": 2.0, "shortest": 1e-7,
                "level": 1.1, "height": 1.01, "period": 1.5}  # fmt: skip
     value = getattr(found, entry)
     factor = factors[entry]
     changed = [factor * v for v in value] if isinstance(value, tuple) else factor * value
-    assert not forged(sampled_folder, tmp_path, **{entry: changed}).holds
+    assert not forged(sampled_folder, **{entry: changed}).holds
 
 
-def test_a_faster_fall_is_refused(sampled_folder, tmp_path, found):
-    assert not forged(sampled_folder, tmp_path, rate=10 * found.rate).holds
+@pytest.mark.slow
+def test_a_faster_fall_is_refused(sampled_folder, found):
+    assert not forged(sampled_folder, rate=10 * found.rate).holds
+    assert not forged(sampled_folder, slope=100 * found.slope).holds
+    assert not forged(sampled_folder, slope=1e-3 * found.slope).holds
     cores = json.loads(json.dumps(found.data["cores"]))
     cores[-1]["rate"] *= 1.2
-    assert not forged(sampled_folder, tmp_path, cores=cores).holds
+    assert not forged(sampled_folder, cores=cores).holds
 
 
-def test_the_radius_of_double_is_not_that_of_float(sampled_folder, tmp_path, found):
+@pytest.mark.slow
+def test_other_words_than_what_is_proved_are_refused(sampled_folder, tmp_path):
+    """Twice the noise in the text alone."""
+    text = (sampled_folder / "certificate.json").read_text("utf-8")
+    assert "q within ±1e-05" in text
+    changed = text.replace("q within ±1e-05", "q within ±2e-05")
+    (tmp_path / "certificate.json").write_text(changed, encoding="utf-8")
+    (tmp_path / "design.json").write_bytes((sampled_folder / "design.json").read_bytes())
+    verdict = {result.name: result for result in check(tmp_path)}["disturbed"]
+    assert not verdict.holds
+    assert verdict.statement.startswith("claimed in other words")
+
+
+@pytest.mark.slow
+def test_the_radius_of_double_is_not_that_of_float(sampled_folder, found):
     """What is claimed of float holds in double, and a smaller radius does not hold in float."""
-    assert forged(sampled_folder, tmp_path, precision="double").holds
+    assert forged(sampled_folder, precision="double").holds
     small = [1e-3 * r for r in found.radius]
-    assert not forged(sampled_folder, tmp_path, radius=small).holds
+    assert not forged(sampled_folder, radius=small).holds
 
 
 @pytest.mark.parametrize("name", ["law", "casimirs"])
-def test_operations_of_another_law_are_refused(sampled_folder, tmp_path, found, name):
+def test_operations_of_another_law_are_refused(sampled_folder, found, name):
     """One that rounds less: its last step gives a constant."""
     data = json.loads(json.dumps(found.data[name]))
     data["steps"][-1] = ["const", [], 0.7]
-    verdict = forged(sampled_folder, tmp_path, **{name: data})
+    verdict = forged(sampled_folder, **{name: data})
     assert verdict.statement.endswith("not proved: the operations are those of the law")
 
 
-def test_an_operation_that_takes_what_comes_later_is_refused(sampled_folder, tmp_path, found):
+def test_an_operation_that_takes_what_comes_later_is_refused(sampled_folder, found):
     data = json.loads(json.dumps(found.data["law"]))
     data["steps"][0] = ["mul", [0, 999], 0.0]
-    assert not forged(sampled_folder, tmp_path, law=data).holds
+    assert not forged(sampled_folder, law=data).holds
 
 
-def test_a_core_in_which_more_is_left_is_refused(sampled_folder, tmp_path, found):
+def test_a_core_in_which_more_is_left_is_refused(sampled_folder, found):
     """A core smaller than where W may rise, and one that what comes from before does not fit in."""
     cores = found.data["cores"]
     box = cores[-1]["box"]
     small = [[m + (side - m) * 1e-5 for side in sides] for sides in box for m in [sum(sides) / 2]]
     last = {"box": small, "rate": cores[-1]["rate"]}
-    assert not forged(sampled_folder, tmp_path, cores=[last]).holds
-    assert not forged(sampled_folder, tmp_path, cores=[*cores, last]).holds
+    assert not forged(sampled_folder, cores=[last]).holds
+    assert not forged(sampled_folder, cores=[*cores, last]).holds
 
 
-def test_boxes_that_are_no_tree_are_refused(sampled_folder, tmp_path, found):
-    with pytest.raises(OutputError):
-        forged(sampled_folder, tmp_path, tree=packed_tree(found.nodes[:-1]))
+def test_boxes_that_are_no_tree_are_refused(sampled_folder, found):
+    with pytest.raises(ValueError, match="boxes of the sampled region"):
+        forged(sampled_folder, tree=packed_tree(found.nodes[:-1]))
     one = packed_tree(bytes([BEYOND]))  # all of it, and z̄ with it
-    assert not forged(sampled_folder, tmp_path, tree=one).holds
+    assert not forged(sampled_folder, tree=one).holds
 
 
+@pytest.mark.slow
 def test_it_does_not_hold_without_the_claim_that_it_rests_on(sampled_folder, tmp_path):
     data = json.loads((sampled_folder / "certificate.json").read_text("utf-8"))
     data["claims"] = [c for c in data["claims"] if c["name"] != "sampled"]
@@ -108,3 +143,38 @@ def test_it_does_not_hold_without_the_claim_that_it_rests_on(sampled_folder, tmp
     verdicts = {result.name: result.holds for result in check(tmp_path)}
     assert not verdicts.get("disturbed", False)
     assert not all(verdicts.values())
+
+
+@pytest.mark.parametrize("share", [1.04, 1.0, 0.96])
+def test_the_summary_says_no_more_than_is_proved(sampled_folder, found, share):
+    """Radii are not rounded down, nor the longest period up."""
+    certificate = Certificate.from_json((sampled_folder / "certificate.json").read_text("utf-8"))
+    radius, period = (0.0841 * share, 0.0129 * share, 1.0), 0.012347 * share
+    claims = [
+        replace(c, data={**c.data, "radius": list(radius), "period": period})
+        if c.name == "disturbed"
+        else replace(c, data={**c.data, "period": period})
+        if c.name == "sampled"
+        else c
+        for c in certificate.claims
+    ]
+    text = sampled_text(SampledLoop(0.01, 0.9, None, None), replace(certificate, claims=claims))
+    (shown,) = re.findall(r"within \((.*?)\) of", text)
+    assert all(float(v) >= r for v, r in zip(shown.split(","), radius, strict=True))
+    longest = [float(v) for v in re.findall(r"(?:up to|to) (0\.0\d+) s", text)]
+    assert len(longest) == 2
+    assert max(longest) <= period
+
+
+@pytest.mark.parametrize("real", ["float", "double"])
+def test_code_of_another_type_than_is_claimed_is_found(tmp_path, real):
+    """Hashes alone would not tell: they are made again along with the claim."""
+    (tmp_path / "c").mkdir()
+    for name in ("necc.h", "necc.c"):
+        (tmp_path / "c" / name).write_text(f"typedef {real} own_real;\n", encoding="utf-8")
+    other = "double" if real == "float" else "float"
+    said = {
+        name: "does not compute in" in check_code(tmp_path, "{}", name)[0].statement
+        for name in (real, other)
+    }
+    assert said == {real: False, other: True}

@@ -247,7 +247,7 @@ def test_fields_at_odds_with_the_claims_are_rejected(folder, tmp_path):
 
 @given(value=st.floats(-1e9, 1e9, allow_subnormal=False), digits=st.integers(1, 6))
 def test_numbers_are_shown_on_the_safe_side(value, digits):
-    low, high = (float(f(value, digits)) for f in (statements._down, statements._up))
+    low, high = (float(f(value, digits)) for f in (statements.down, statements.up))
     assert low <= value <= high
     assert high - low <= 2 * 10.0 ** (1 - digits) * abs(value)
 

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import cached_property
+from functools import cached_property, reduce
 from itertools import pairwise
 
 import numpy as np
 from flint import arb, arb_mat
 
-from necc_casadi.certificate.checker.arithmetic.balls import Box
+from necc_casadi.certificate.checker.arithmetic.balls import Box, by_bisection
 from necc_casadi.certificate.checker.arithmetic.definite import middle_of, positive
 from necc_casadi.certificate.checker.evidence import Checked, Evidence, Obligation
 from necc_casadi.certificate.checker.sampled.disturbance import Computed, DisturbedStep, Falls
 from necc_casadi.certificate.checker.sampled.rounding import RoundingProof
-from necc_casadi.certificate.checker.sampled.sampled import SampledProof
+from necc_casadi.certificate.checker.sampled.sampled import HALVINGS, SampledProof
 from necc_casadi.certificate.checker.sampled.step import StepProof
 from necc_casadi.certificate.claims import statements
 from necc_casadi.certificate.claims.disturbed import Core, DisturbedRegion
@@ -28,6 +28,8 @@ __all__ = ["check_disturbed"]
 _SLACK = 1e-9
 #: How often a box of the certificate may be halved again; pieces of the periods near z̄.
 _AGAIN, _PIECES = 16, 8
+#: How often the core of `sampled` may be halved.
+_DEEP = 12
 #: Pieces of the box of the region on which errors of the law are bounded.
 _PARTS = 729
 
@@ -77,6 +79,7 @@ class _Disturbed:
             ("the operations are those of the law", self._is_of_this_law),
             ("the height above V(z̄)", self._is_above),
             ("what is left near z̄", self._comes_near),
+            ("V is steep outside of the first core", self._is_steep),
             ("W falls at every step, on every box", self._on_every_box),
         ]
 
@@ -89,7 +92,7 @@ class _Disturbed:
         return (
             0 < found.shortest <= found.period <= region.period
             and found.level <= region.level
-            and min(found.height, found.rate, found.above, *found.radius) > 0
+            and min(found.height, found.rate, found.slope, found.above, *found.radius) > 0
             and (found.delay is None or found.delay > 0)
             and all(v >= 0 for v in sizes)
             and lower
@@ -204,20 +207,50 @@ class _Disturbed:
     def _everywhere(self) -> Computed:
         return self._computed(self.region.box, _PARTS)
 
+    def _is_steep(self) -> bool:
+        """|C∇V| is larger than the slope that is claimed, outside of the first core.
+
+        In the core of `sampled` it is, where C∇²VCᵀ ⪰ μI with |C∇V| ≥ μ|C⁻ᵀ(z − z̄)|.
+        """
+        first = self.found.cores[0].box
+        sides = zip(first, self.z_bar, self.columns, strict=True)
+        half = reduce(
+            arb.min,
+            (((arb(hi) - arb(b)).min(arb(a) - arb(lo))) / c for (lo, hi), (a, b), c in sides),
+        )
+        mu = (arb(self.found.slope) / half).upper() if bool(half > 0) else arb(1)
+        if self._is_steeper(float(mu) * (1 + _SLACK)):
+            first = self.region.core
+
+        def settled(box: Box, W: arb, slope: list[arb]) -> bool:
+            core = zip(first, box, strict=True)
+            if bool(self.found.level < W) or all(a <= lo and hi <= b for (a, b), (lo, hi) in core):
+                return True
+            gradient, _ = self.exact.gradient_and_hessian(box)
+            turned = self.step.frame * arb_mat([[v] for v in gradient])
+            length = sum((v.abs_lower() ** 2 for (v,) in turned.tolist()), arb(0)).lower()
+            return bool(length > arb(self.found.slope) ** 2)
+
+        return self.exact.nowhere(self.region.box, settled, HALVINGS)
+
+    def _is_steeper(self, mu: float) -> bool:
+        """Whether C∇²VCᵀ ⪰ μI on the core of `sampled`."""
+        C = self.step.frame
+        return by_bisection(
+            self.region.core,
+            lambda box: positive(C * self.energy.hessian(box) * C.transpose(), mu),
+            _DEEP,
+        )
+
     def _proved(self, cell: Box, node: int, left: int) -> bool:
         box = cell[:-1]
-        sides = zip(self.found.cores[0].box, box, strict=True)
-        if all(a <= lo and hi <= b for (a, b), (lo, hi) in sides):
-            return True
-        if node == BEYOND and self._beyond(box):
-            return True
-        if node != BEYOND and (self._falls(box, cell[-1]) or self._beyond(box)):
+        if self._beyond(box) or (node != BEYOND and self._falls(box, cell[-1])):
             return True
         if left == 0:
             return False
         root = (*self.region.box, (0.0, self.found.period))
         shares = [(hi - lo) / (b - a) for (lo, hi), (a, b) in zip(cell, root, strict=True)]
-        k = max(range(len(cell) - 1), key=shares.__getitem__)
+        k = max(range(len(cell) - (node == BEYOND)), key=shares.__getitem__)
         lo, hi = cell[k]
         middle = lo / 2 + hi / 2
         return all(
@@ -231,11 +264,7 @@ class _Disturbed:
     def _falls(self, box: Box, period: tuple[float, float]) -> bool:
         gradient, _ = self.exact.gradient_and_hessian(box)
         falls = self.step.over(box, period, gradient, arb(self.found.rate), self._everywhere)
-        if falls is None or not self._kept(falls):
-            return False
-        turned = self.step.frame * arb_mat([[v] for v in gradient])
-        length = sum((v.abs_lower() ** 2 for (v,) in turned.tolist()), arb(0)).lower()
-        return bool(length > falls.least**2)
+        return falls is not None and self._kept(falls) and bool(falls.least < self.found.slope)
 
 
 def _fit(cores: Sequence[Core], size: int) -> bool:

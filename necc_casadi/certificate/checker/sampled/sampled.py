@@ -16,11 +16,11 @@ from necc_casadi.certificate.checker.sampled.step import StepProof
 from necc_casadi.certificate.claims import statements
 from necc_casadi.certificate.claims.sampled import BEYOND, SampledRegion
 
-__all__ = ["SampledProof", "check_sampled"]
+__all__ = ["HALVINGS", "SampledProof", "check_sampled"]
 
 
 #: How often a box of the certificate may be halved again, the core, and the box and its sides.
-_AGAIN, _CORE, _HALVINGS = 16, 12, 100
+_AGAIN, _CORE, HALVINGS = 16, 12, 100
 
 
 def check_sampled(evidence: Evidence, sound: bool) -> Checked:
@@ -132,7 +132,7 @@ class SampledProof:
         sides = [
             (*box[:k], (end, end), *box[k + 1 :]) for k, side in enumerate(box) for end in side
         ]
-        return all(self._nowhere(side, self._is_above_on(side), _HALVINGS) for side in sides)
+        return all(self.nowhere(side, self._is_above_on(side), HALVINGS) for side in sides)
 
     def _is_above_on(self, side: Box) -> Callable[[Box, arb, list[arb]], bool]:
         """Whether W > w₀ on a piece, or W falls along the side from everywhere on it."""
@@ -156,9 +156,9 @@ class SampledProof:
             gradient, _ = self.gradient_and_hessian(box)
             return any(bool(g > 0) or bool(g < 0) for g in gradient)
 
-        return self._nowhere(self.region.box, settled, _HALVINGS)
+        return self.nowhere(self.region.box, settled, HALVINGS)
 
-    def _nowhere(self, box: Box, settled: Callable[[Box, arb, list[arb]], bool], left: int) -> bool:
+    def nowhere(self, box: Box, settled: Callable[[Box, arb, list[arb]], bool], left: int) -> bool:
         """Whether pieces of a box are settled, each with W and ∇W on it."""
         W, slope = self.level_and_slope(box)
         if settled(box, W, slope):
@@ -172,7 +172,7 @@ class SampledProof:
         if left == 0 or not lo < middle < hi:
             return False
         return all(
-            self._nowhere((*box[:k], half, *box[k + 1 :]), settled, left - 1)
+            self.nowhere((*box[:k], half, *box[k + 1 :]), settled, left - 1)
             for half in ((lo, middle), (middle, hi))
         )
 
@@ -229,7 +229,7 @@ class SampledProof:
                 bool(v >= lo) and bool(v <= hi) for v, (lo, hi) in zip(u, limits, strict=True)
             )
 
-        return self._nowhere(self.region.box, settled, _HALVINGS)
+        return self.nowhere(self.region.box, settled, HALVINGS)
 
 
 def _middle(box: Box) -> Box:

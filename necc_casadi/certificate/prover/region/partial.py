@@ -34,6 +34,8 @@ _FIRST_SHARE = {0: 0.999, 1: 0.995, 2: 0.99, 3: 0.98}
 _SHARES = (0.97, 0.95, 0.9, 0.8, 0.5, 0.2, 0.05)
 _TUBE_SHARES = (0.95, 0.8, 0.5)
 _SPLITS = 3
+#: Shares that are tried before the least one, without which none of the others is.
+_HOPEFUL = 2
 #: How often the box of the search may grow, and by which share of its sides.
 _GROWTHS, _WIDER = 8, 0.5
 #: How often the domain is doubled where nothing ends the component, and V has no form by which the
@@ -150,17 +152,26 @@ class Components:
         if not height > 0:
             return None
         obstacle = judged(self.potential, obstacle)
-        shares = _SHARES if fit is None else _TUBE_SHARES
-        for share in (_FIRST_SHARE[len(bounds.reduced.kept)], *shares):
+        first = _FIRST_SHARE[len(bounds.reduced.kept)]
+        shares = (first, *(_SHARES if fit is None else _TUBE_SHARES))
+
+        def below(share: float) -> Component | None:
             # a tube is convex the better the less it has to hold
             inner = _INNER if fit is None else min(_INNER, _NEXT * share)
             room = self.bottom + max(share, inner) * height
             named = obstacle if share >= NEAR_ENOUGH else replace(obstacle, kind="arithmetic")
             level = self.bottom + share * height
-            component = self._at(bounds, found, level, room, named, fit)
-            if component is not None:
-                return component
-        return None
+            return self._at(bounds, found, level, room, named, fit)
+
+        found_below = map(below, shares[:_HOPEFUL])
+        component = next((c for c in found_below if c is not None), None)
+        if component is not None:
+            return component
+        least = below(shares[-1])
+        if least is None:
+            return None
+        found_below = map(below, shares[_HOPEFUL:-1])
+        return next((c for c in found_below if c is not None), least)
 
     def _grown(self, bounds: Bounds) -> Component | None:
         """Where nothing ends it: the component inside the largest box in which one is proved."""

@@ -27,7 +27,7 @@ __all__ = [
     "falls",
     "is_never_clipped",
     "level_by_states",
-    "lower_bounds",
+    "where_above",
     "within",
 ]
 
@@ -49,7 +49,6 @@ class Shown:
     """What is shown of boxes, (B,) each."""
 
     proved: Truth
-    of_states: Truth  # where it is not, the states alone are in the way
     rates: Vector | float = 0.0  # what changes faster there with states and period, (B, N + 1)
     ceiling: float = np.inf  # no level above it is ever proved
 
@@ -120,7 +119,6 @@ def cover(
     most: int,
     least: float,
     proof: Proof | None = None,
-    deepest: int = _DEEPEST,
 ) -> Cover:
     """Boxes that prove {W < w₀} for the largest w₀ ≤ `level` that was found, −∞ where none was.
 
@@ -136,8 +134,6 @@ def cover(
         Levels below this one are of no use.
     proof
         What is to be shown of boxes; by default that W falls.
-    deepest
-        How often a box is halved at most.
     """
     tree, done, kept = _Tree(root), 0, False
     heap: list[tuple[float, int]] = [(-np.inf, 0)]
@@ -157,14 +153,14 @@ def cover(
             np.array([tree.lo[i] for i in taken]), np.array([tree.hi[i] for i in taken])
         )
         Z, s = cells[:, :-1], cells[:, -1]
-        lowest, _ = lower_bounds(step.potential, Q, Z)
+        lowest, _ = _lower_bounds(step.potential, Q, Z)
         lowest = np.maximum(lowest, bounds)
         rates = np.tile(weights, (len(taken), 1))
-        proved, of_states = np.zeros((2, len(taken)), dtype=bool)
+        proved = np.zeros(len(taken), dtype=bool)
         reached = np.flatnonzero(lowest <= level)
         if len(reached):
             shown = proof(Z[reached], s[reached])
-            proved[reached], of_states[reached] = shown.proved, shown.of_states
+            proved[reached] = shown.proved
             rates[reached] += shown.rates
             level = min(level, shown.ceiling)
         for k, i in enumerate(taken):
@@ -172,9 +168,8 @@ def cover(
                 tree.node[i] = BEYOND if lowest[k] > level else KEPT
                 kept = kept or bool(proved[k])
                 continue
-            loose = (tree.hi[i] - tree.lo[i]) * rates[k]
-            side = int(np.argmax(loose[:-1] if of_states[k] else loose))
-            if tree.depth[i] >= deepest:
+            side = int(np.argmax((tree.hi[i] - tree.lo[i]) * rates[k]))
+            if tree.depth[i] >= _DEEPEST:
                 level = min(level, float(lowest[k]))
                 continue
             for j in tree.split(i, side):
@@ -194,7 +189,6 @@ def falls(step: Step, Q: Vector, clipping: Vector | None = None) -> Proof:
         lost = Z[np.isnan(sample.shares.lo).any(-1)]
         return Shown(
             negative_definite(sample.form(Q), _EASED),
-            np.zeros(len(open_), dtype=bool),
             0.0 if clipping is None else open_[:, : len(clipping)] @ clipping,
             _beyond_limits(step, Q, lost) if len(lost.lo) else np.inf,
         )
@@ -226,12 +220,12 @@ def level_by_states(
     core.
     """
     for side in _sides(box):
-        level = _where_above(potential, Q, side, level, most, least, _steep_within(side))
+        level = where_above(potential, Q, side, level, most, least, _steep_within(side))
 
     def settled(Z: Interval, slope: Interval) -> Truth:
         return _inside(Z, core) | _apart(potential.jet(Z).grad)
 
-    return _where_above(potential, Q, box, level, most, least, settled)
+    return where_above(potential, Q, box, level, most, least, settled)
 
 
 def is_never_clipped(step: Step, Q: Vector, box: Interval, level: float, most: int) -> bool:
@@ -243,7 +237,7 @@ def is_never_clipped(step: Step, Q: Vector, box: Interval, level: float, most: i
 
     if limits is None:
         return True
-    return _where_above(step.potential, Q, box, level, most, -np.inf, settled) >= level
+    return where_above(step.potential, Q, box, level, most, -np.inf, settled) >= level
 
 
 def _steep_within(side: Interval) -> Settled:
@@ -257,7 +251,7 @@ def _steep_within(side: Interval) -> Settled:
     return settled
 
 
-def _where_above(
+def where_above(
     potential: Potential,
     Q: Vector,
     box: Interval,
@@ -274,7 +268,7 @@ def _where_above(
             return heap[0][0]
         taken = [heapq.heappop(heap) for _ in range(min(_BATCH, len(heap)))]
         Z = Interval(*(np.array(v) for v in zip(*(cells[k] for _, k in taken), strict=True)))
-        lowest, slope = lower_bounds(potential, Q, Z)
+        lowest, slope = _lower_bounds(potential, Q, Z)
         loose = np.where(np.isfinite(slope.rad), slope.rad, 1.0) * (Z.hi - Z.lo)
         left_open = (lowest <= level) & ~settled(Z, slope)
         for (bound, k), low, share, left in zip(taken, lowest, loose, left_open, strict=True):
@@ -302,7 +296,7 @@ def _sides(box: Interval) -> list[Interval]:
     return result
 
 
-def lower_bounds(potential: Potential, Q: Vector, Z: Interval) -> tuple[Vector, Interval]:
+def _lower_bounds(potential: Potential, Q: Vector, Z: Interval) -> tuple[Vector, Interval]:
     """Lower bounds of W over boxes (B, N), by its mean-value form, (B,), and ∇W; −∞: unknown."""
     with np.errstate(all="ignore"):
         jet, middle = potential.jet(Z), potential.jet(point(Z.mid))

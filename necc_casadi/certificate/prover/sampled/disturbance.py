@@ -43,7 +43,6 @@ class Falls:
     proved: Truth
     least: Vector  # δ, (B,)
     rise: Vector  # of W at most, (B,)
-    slopes: Interval  # Cg, (B, N)
     inputs: Interval  # u of the law and what it may be off, (B, m)
 
 
@@ -115,8 +114,7 @@ class Disturbed:
         rise = self.longest * (lengths**2 / (4 * rate) + square) * _SECOND
         known = near & np.isfinite(least) & np.isfinite(rise)
         inputs = sample.inputs + Interval(-own, own)
-        slopes = matmul(point(self.frame[None]), sample.gradient[..., None])[..., 0]
-        return Falls(falls & known, least, rise, slopes, inputs)
+        return Falls(falls & known, least, rise, inputs)
 
     def largest_rate(self, Z: Vector, s: Vector) -> Vector:
         """The largest rate with Π ⪯ −rate CᵀC at states (B, N) and periods (B,), about."""

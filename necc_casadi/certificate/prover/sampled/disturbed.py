@@ -9,17 +9,20 @@ from itertools import pairwise
 
 import numpy as np
 
-from necc_casadi.arrays import Vector
+from necc_casadi.arrays import Truth, Vector
 from necc_casadi.certificate.claims.disturbed import Core, Disturbances, DisturbedRegion
 from necc_casadi.certificate.claims.regions import Side, numbers, rows
 from necc_casadi.certificate.claims.sampled import SampledRegion
 from necc_casadi.certificate.claims.statements import NotDisturbed
+from necc_casadi.certificate.prover.arithmetic.boxes import subdivide
+from necc_casadi.certificate.prover.arithmetic.definite import positive_definite
 from necc_casadi.certificate.prover.arithmetic.intervals import Interval, matmul, point
 from necc_casadi.certificate.prover.arithmetic.potential import Potential
 from necc_casadi.certificate.prover.arithmetic.tables import TabledPotential
-from necc_casadi.certificate.prover.sampled.cover import Shown, cover, within
+from necc_casadi.certificate.prover.sampled.cover import Shown, cover, where_above, within
 from necc_casadi.certificate.prover.sampled.disturbance import Computed, Disturbed, Falls
 from necc_casadi.certificate.prover.sampled.metric import Guide
+from necc_casadi.certificate.prover.sampled.prove import rates_of_change
 from necc_casadi.certificate.prover.sampled.rounding import Rounding, programs, unit
 from necc_casadi.certificate.prover.sampled.step import Step
 from necc_casadi.designs.design import Design
@@ -34,19 +37,22 @@ _SHORTEST = 0.01
 _RATES, _CORE_RATES = (0.4, 0.15), (0.95, 0.85, 0.6, 0.3)
 #: States and shares of the longest period at which it is looked at.
 _POINTS, _SHARES = 60, (0.02, 0.5, 1.0)
-#: Boxes that may be looked at, and how often one is halved.
-_BOXES, _DEEPEST = 20_000, 120
+#: Boxes that may be looked at.
+_BOXES = 20_000
 #: Halves of cores, in units in which ∇²V(z̄) = I and as shares of the one of `sampled`; how close to
 #: the least radius that of the last one is; the share of the height that is worth having.
 _CORES, _CLOSE, _LEAST = 2.0 ** -np.arange(1, 17.0), 1.05, 0.1
+#: A slope outside of the first core, as a share of the half of it, and as a multiple of what states
+#: of the region need; pieces of a side of the core of `sampled` on which ∇²V is bounded.
+_STEEP, _ROOM, _CUTS = 0.5, 2.0, 3
 #: Pieces of the periods in the core.
 _PIECES = 8
 #: Pieces of the box of the region on which errors of the law are bounded.
 _PARTS = 729
 #: What is given away for other arithmetic: of heights, of w_∞ and of radii.
 _EASED, _ABOVE, _RADIUS = 1e-6, 0.02, 0.01
-#: α, as multiples of the largest ∇²V(z̄).
-_ALPHAS = 2.0 ** np.arange(-3, 9)
+#: α, as multiples of the largest ∇²V(z̄), and at which of the states it is chosen.
+_ALPHAS, _EVERY = 2.0 ** np.arange(-2, 9), 4
 
 
 def prove_disturbed(
@@ -71,6 +77,7 @@ class _Core:
     half: float  # |C⁻ᵀ(z − z̄)| on its sides is at least this
     low: float  # 2(W − V(z̄)) ≥ low |C⁻ᵀ(z − z̄)|² in it
     rate: float
+    least: float  # δ
     above: float  # w_∞ − V(z̄)
     earlier: Vector | None  # errors of a u that was computed in it, where u is late
 
@@ -106,31 +113,42 @@ class _Proof:
         cores = self._cores(loop)
         if not cores:
             return "near the minimum the disturbances are as large as what they are to leave"
-        for share in _RATES:
-            rate = share * float(self._fastest(loop).min())
-            if rate > 0 and (made := self._cover(loop, cores, rate)) is not None:
-                return made
+        fast = float(self._fastest(loop).min())
+        for share in _RATES if fast > 0 else ():
+            for slope in self._slopes(loop, cores[0], share * fast):
+                made = self._cover(loop, cores, share * fast, slope)
+                if made is not None:
+                    return made
         return "no region is proved from which solutions come near the minimum"
 
-    def _cover(self, loop: Disturbed, cores: list[_Core], rate: float) -> DisturbedRegion | None:
-        region, design, top = self.region, self.design, self.region.level
+    def _cover(
+        self, loop: Disturbed, cores: list[_Core], rate: float, slope: float
+    ) -> DisturbedRegion | None:
+        region, design, first, last = self.region, self.design, cores[0], cores[-1]
         box, computed = self._box, self._everywhere(loop)
         limits = design.natural.loop.plant.u_limits
-
         wide = replace(loop, step=replace(loop.step, potential=TabledPotential(design.natural)))
+        convex = self._is_steeper(slope / first.half)
+        around = Interval(*np.array(region.core).T) if convex else first.box
+
+        def steep(Z: Interval, _: Interval) -> Truth:
+            inner = ((around.lo <= Z.lo) & (Z.hi <= around.hi)).all(-1)
+            g = matmul(point(loop.frame[None]), wide.step.potential.jet(Z).grad[..., None])[..., 0]
+            return np.asarray(inner | (_length(g) > slope * (1 + _EASED)), dtype=bool)
 
         def proof(Z: Interval, s: Interval) -> Shown:
-            inner = ((around.lo <= Z.lo) & (Z.hi <= around.hi)).all(-1)
             found = wide.over(Z, s, rate, computed)
-            steep = _length(found.slopes) > found.least * (1 + _EASED)
-            kept = found.proved & within(found.inputs, limits)
-            return Shown(inner | (kept & steep), kept & ~steep)
+            small = found.least < slope * (1 - _EASED)
+            return Shown(found.proved & within(found.inputs, limits) & small)
 
-        around, last = cores[0].box, cores[-1]
-        least = self._bottom + max(cores[0].above, _LEAST * region.height)
+        least = self._bottom + max(first.above / (1 - 2 * _EASED), _LEAST * region.height)
+        top = where_above(wide.step.potential, loop.Q, box, region.level, _BOXES, least, steep)
+        if not top > least:
+            return None
         root = Interval(np.append(box.lo, 0.0), np.append(box.hi, self.period))
-        weights = np.append(np.sqrt(np.diag(self._stiffness)), _WEIGHT / self.period)
-        got = cover(wide.step, loop.Q, root, top, weights, _BOXES, least, proof, _DEEPEST)
+        guide, points = Guide(design.natural, loop.Q), self._points(loop)
+        weights = rates_of_change(wide.step, guide, points, self.period)
+        got = cover(wide.step, loop.Q, root, top, weights, _BOXES, least, proof)
         if not got.level > least:
             return None
         height = (1 - _EASED) * (got.level - self._bottom)
@@ -148,11 +166,32 @@ class _Proof:
             got.level,
             height,
             rate,
+            slope,
             got.tree,
             tuple(Core(_sides(core.box), core.rate) for core in cores),
             last.above,
             numbers(radius),
         )
+
+    def _slopes(self, loop: Disturbed, first: _Core, rate: float) -> list[float]:
+        """Slopes to try, from what is needed at states of the region to what there is."""
+        points, T = self._points(loop), self.period
+        at, s = Interval(points, points), np.full(len(points), T)
+        needed = loop.over(at, Interval(s, s), rate, self._everywhere(loop)).least
+        widest = _STEEP * first.half
+        close = max(_ROOM * float(np.nanmax(needed)), float(np.sqrt(first.least * widest)))
+        return sorted({min(close, widest), widest})
+
+    def _points(self, loop: Disturbed) -> Vector:
+        return Guide(self.design.natural, loop.Q).inside(self.region.height, _POINTS)
+
+    def _is_steeper(self, mu: float) -> bool:
+        """Whether C∇²VCᵀ ⪰ μI on the core of `sampled`, so that |C∇V| ≥ μ|C⁻ᵀ(z − z̄)| in it."""
+        back = np.linalg.inv(self._frame)
+        least = mu * (1 + 1e3 * _EASED) * back @ back.T
+        pieces = subdivide(Interval(*np.array(self.region.core).T), _CUTS)
+        bent = self._potential.lower_hessian(pieces) - (least + least.T) / 2
+        return bool(positive_definite(bent).all())
 
     # --- near z̄ -----------------------------------------------------------------------------------
 
@@ -191,30 +230,18 @@ class _Proof:
         ends = np.linspace(0.0, self.period, _PIECES + 1)
         Z = Interval(*(np.repeat(v[None], _PIECES, 0) for v in (box.lo, box.hi)))
         s = Interval(*(np.array(v) for v in zip(*pairwise(ends), strict=True)))
-        own = self._computed(loop, box)
+        own, limits = self._computed(loop, box), self.design.natural.loop.plant.u_limits
         computed = replace(own, earlier=earlier)
         for share in _CORE_RATES:
             rate = share * fast
-            above = self._above(loop, Z, s, rate, computed, shape)
-            if above is not None:
-                core = _Core(box, half, shape[1], rate, above, own.earlier)
-                return core if core.holds(above) and above < self.region.height else None
+            falls = loop.over(Z, s, rate, computed)
+            if not (falls.proved & within(falls.inputs, limits)).all():
+                continue
+            above = self._highest(loop, falls, rate, shape[0], shape[2]) * (1 + _ABOVE)
+            least = float(falls.least.max())
+            core = _Core(box, half, shape[1], rate, least, above, own.earlier)
+            return core if core.holds(above) and above < self.region.height else None
         return None
-
-    def _above(
-        self,
-        loop: Disturbed,
-        Z: Interval,
-        s: Interval,
-        rate: float,
-        computed: Computed,
-        shape: tuple[float, float, float],
-    ) -> float | None:
-        """w_∞ − V(z̄); None: W is not proved to fall, or u to be within its limits."""
-        falls, limits = loop.over(Z, s, rate, computed), self.design.natural.loop.plant.u_limits
-        if not (falls.proved & within(falls.inputs, limits)).all():
-            return None
-        return self._highest(loop, falls, rate, shape[0], shape[2]) * (1 + _ABOVE)
 
     def _highest(
         self, loop: Disturbed, falls: Falls, rate: float, near: float, high: float
@@ -282,7 +309,8 @@ class _Proof:
             return plain
         scale = float(np.linalg.eigvalsh(self._stiffness)[-1])
         alphas = [float(scale * a) for a in _ALPHAS]
-        rates = [float(self._fastest(replace(plain, delay=alpha)).min()) for alpha in alphas]
+        some = self._points(plain)[::_EVERY]
+        rates = [float(self._rates(replace(plain, delay=a), some).min()) for a in alphas]
         best = int(np.argmax(rates))
         if not rates[best] > 0:
             return None
@@ -298,9 +326,9 @@ class _Proof:
 
     def _fastest(self, loop: Disturbed, near: bool = False) -> Vector:
         """Rates at states of the region, or at z̄."""
-        guide = Guide(self.design.natural, loop.Q)
-        points = guide.inside(self.region.height, _POINTS)
-        points = self.design.natural.z_bar[None] if near else points
+        return self._rates(loop, self.design.natural.z_bar[None] if near else self._points(loop))
+
+    def _rates(self, loop: Disturbed, points: Vector) -> Vector:
         Z = np.repeat(points, len(_SHARES), 0)
         return loop.largest_rate(Z, np.tile(np.array(_SHARES) * self.period, len(points)))
 
@@ -323,10 +351,6 @@ class _Proof:
     def _bottom(self) -> float:
         z_bar = self.design.natural.z_bar[None]
         return float(self._potential.jet(Interval(z_bar, z_bar)).value.hi[0])
-
-
-#: The width of all periods beside that of states in sizes of ∇²V(z̄)^(−1/2).
-_WEIGHT = 1.0
 
 
 def _sides(box: Interval) -> tuple[Side, ...]:

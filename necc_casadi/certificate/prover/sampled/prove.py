@@ -29,7 +29,7 @@ from necc_casadi.certificate.prover.sampled.step import Step
 from necc_casadi.designs.design import Design
 from necc_casadi.model.shaped_loop import ShapedLoop
 
-__all__ = ["prove_sampled"]
+__all__ = ["prove_sampled", "rates_of_change"]
 
 
 #: States at which Q is chosen, and random starts of the domain beside its corners.
@@ -143,7 +143,7 @@ def _region(
     if not level > least:
         return None
     few = points[:_FEW]
-    weights, clipping = _weights(step, guide, few, period), _clipping(step, guide, few)
+    weights, clipping = rates_of_change(step, guide, few, period), _clipping(step, guide, few)
     found = cover(step, Q, root, level, weights, most, least, falls(step, Q, clipping))
     if not found.level > least:
         return None
@@ -208,7 +208,7 @@ def _core(potential: Potential, box: Interval) -> Interval:
     return Interval(z_bar, z_bar)
 
 
-def _weights(step: Step, guide: Guide, points: Vector, period: float) -> Vector:
+def rates_of_change(step: Step, guide: Guide, points: Vector, period: float) -> Vector:
     """How fast Π changes with each state and the period, (N + 1,).
 
     A wide box also moves over more states: what it does to their rates counts for a period.
