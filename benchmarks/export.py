@@ -413,15 +413,15 @@ def _blocks(call: Callable[[], object]) -> Iterator[float]:
 # --- Cortex-M4F and M7 under emulation ------------------------------------------------------------
 
 
-def cortex(folder: Path) -> Iterator[tuple[str, list[str]]]:
-    """What was run, [instructions, stack, flash, bss, same bits as here]."""
+def cortex(folder: Path) -> Iterator[tuple[str, str, str, str, list[str]]]:
+    """Design, optimisation, core, type, [instructions, stack, flash, bss, same bits as here]."""
     for name in DESIGNS:
         for (core, real), (unit, board) in CORES.items():
             source = folder / f"{name}_{real}"
             host = _host_hash(source, real)
             for level in ("-O2", "-O3"):
                 flags = ["-std=gnu99", "-ffp-contract=off", level, *ARM, *unit]
-                yield f"{name} {level}, {core}, {real}", _on_board(source, flags, board, host)
+                yield name, level, core, real, _on_board(source, flags, board, host)
 
 
 def _on_board(source: Path, flags: list[str], board: str, host: str) -> list[str]:
@@ -514,8 +514,8 @@ def main() -> None:
         if all(tools) and not options.no_cortex:
             print("\n| Cortex | instructions | stack, B | flash, B | .bss, B | same bits |")
             print("|---|---|---|---|---|---|")
-            for label, cells in cortex(folder):
-                print(f"| {label} | {' | '.join(cells)} |")
+            for name, level, core, real, cells in cortex(folder):
+                print(f"| {name} {level}, {core}, {real} | {' | '.join(cells)} |")
             print(
                 "goals, float: d2 ≤ 50000, d1 ≤ 8000 instructions, ≤ 30 KB, ≤ 1.5 KB stack, no .bss"
             )

@@ -62,21 +62,25 @@ if ARM:
         return module
 
     @pytest.mark.slow
-    def test_cortex_m4f_gives_our_bits_within_its_budget(tmp_path, benchmark):
+    def test_cortex_m_gives_our_bits_within_its_budget(tmp_path, benchmark):
         sizes = {"d2": paper_design(), "d1": paper_design((32,), (64,))}
+        counts = {}
         for name, d in sizes.items():
-            export_c(d, tmp_path / f"{name}_float", real="float", measured=False)
-        budget = {"d2": 50_000, "d1": 8_000}
-        counts = {
-            name: count_networks(c_networks(Source(d, "float")), "float")
-            for name, d in sizes.items()
-        }
-        for name, level, (instructions, stack, flash, bss, same) in benchmark.cortex(tmp_path):
+            for real in ("float", "double"):
+                export_c(d, tmp_path / f"{name}_{real}", real=real, measured=False)
+                counts[name, real] = count_networks(c_networks(Source(d, real)), real)
+        budget, seen = {"d2": 50_000, "d1": 8_000}, set()
+        for name, level, core, real, row in benchmark.cortex(tmp_path):
+            instructions, stack, flash, bss, same = row
+            wide = 2 if real == "double" else 1
             assert same == "yes"
             assert int(bss) == 0
-            assert int(stack) <= 1536
-            assert int(flash) <= 30 * 1024
-            arithmetic = sum(n for each, n in counts[name].items() if each != "weights")
+            assert int(stack) <= wide * 1536
+            assert int(flash) <= wide * 30 * 1024
+            each = counts[name, real].items()
+            arithmetic = sum(number for kind, number in each if kind != "weights")
             assert arithmetic < int(instructions) < 3 * arithmetic
+            seen.add((core, real))
             if level == "-O3":
                 assert int(instructions) <= budget[name]
+        assert len(seen) == 3
