@@ -27,7 +27,7 @@ from necc_casadi.certificate.checker.arithmetic.balls import (
     widths,
 )
 from necc_casadi.certificate.checker.arithmetic.definite import (
-    lyapunov_matrix,
+    hurwitz,
     middle_of,
     norm,
     positive,
@@ -196,16 +196,10 @@ class _Rest:
     def is_stable(self) -> bool:
         """AᵀP + PA ≺ 0 with P ≻ 0, one P for each of the cells that cover θ."""
 
-        def hurwitz(cell: Box) -> bool:
-            A = self._linearised(cell)
-            guess = lyapunov_matrix(middle_of(A))
-            if guess is None:
-                return False
-            P = arb_mat(guess.tolist())
-            PA = P * A
-            return positive(P, 0) and positive(-(PA + PA.transpose()), 0)
+        def decays(cell: Box) -> bool:
+            return hurwitz(self._linearised(cell))
 
-        return by_bisection(self.theta, hurwitz, _DEPTH, sizes=widths(self.theta))
+        return by_bisection(self.theta, decays, _DEPTH, sizes=widths(self.theta))
 
     def _there(self, cell: Box) -> dict[sp.Symbol, arb]:
         known = {s: ball(*side) for s, side in zip(self.symbols, cell, strict=True)}

@@ -223,6 +223,8 @@ NotSampled = Literal[
 
 #: What may be missing for a claim about it under rounding, noise and delay.
 NotDisturbed = Literal[
+    "velocities are measured, and only measured states of the model are covered",
+    "set-points or parameters at run time are not covered",
     "the law that the C code computes is not of the kind that is covered",
     "the law has an operation whose rounding is not known",
     "with a delay of one sample no function is found that falls",

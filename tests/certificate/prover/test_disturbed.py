@@ -1,7 +1,10 @@
 """The sampled loop under rounding, noise and delay: what is proved of a step, and responses."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+import sympy as sp
 from helpers.export_cases import design as drawn
 from helpers.export_cases import pendulum_loop
 from helpers.sampled import held_input, plant_after
@@ -209,6 +212,15 @@ def test_laws_that_are_not_covered_are_refused_in_words():
     made = drawn(pendulum_loop(), Form(net, net, betas=(net,)))
     refused = prove_disturbed(made, None, 0.01, Disturbances())
     assert refused == "the law that the C code computes is not of the kind that is covered"
+
+
+def test_what_is_measured_or_told_otherwise_is_refused_by_its_name(default_design):
+    loop = default_design.loop
+    plant = replace(loop.plant, inertia=sp.ImmutableMatrix([[1]]))
+    fed = replace(default_design, loop=replace(loop, plant=plant))
+    assert "velocities are measured" in prove_disturbed(fed, None, 0.01, Disturbances())
+    moving = replace(default_design, setpoints={"q": (-1, 1)})
+    assert "at run time" in prove_disturbed(moving, None, 0.01, Disturbances())
 
 
 def test_the_bound_of_float_is_many_times_that_of_double(default_design):

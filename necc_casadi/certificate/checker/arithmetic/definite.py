@@ -13,6 +13,7 @@ from flint import arb, arb_mat
 
 __all__ = [
     "exactly_positive",
+    "hurwitz",
     "lyapunov_matrix",
     "middle_of",
     "norm",
@@ -101,6 +102,16 @@ def _near_inverse(A: arb_mat) -> tuple[arb_mat, arb_mat, arb] | None:
 
 
 @np.errstate(all="ignore")  # a guess that overflows is none
+def hurwitz(A: arb_mat) -> bool:
+    """Whether every member of A has its spectrum in the left half plane: AᵀP + PA ≺ 0, P ≻ 0."""
+    guess = lyapunov_matrix(middle_of(A))
+    if guess is None:
+        return False
+    P = arb_mat(guess.tolist())
+    PA = P * A
+    return positive(P, 0) and positive(-(PA + PA.transpose()), 0)
+
+
 def lyapunov_matrix(A: np.ndarray[Any, Any]) -> np.ndarray[Any, Any] | None:
     """A guess of P with AᵀP + PA = −I; what it is worth is decided afterwards.
 

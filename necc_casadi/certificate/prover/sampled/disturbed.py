@@ -59,7 +59,11 @@ def prove_disturbed(
     design: Design, region: SampledRegion, sample_time: float, asked: Disturbances
 ) -> DisturbedRegion | NotDisturbed:
     """Where solutions from a part of Ω_T come to and stay for periods up to one, s."""
-    if design.form.betas or design.setpoints or design.told or design.measurement.of_velocities:
+    if design.measurement.of_velocities:
+        return "velocities are measured, and only measured states of the model are covered"
+    if design.setpoints or design.told:
+        return "set-points or parameters at run time are not covered"
+    if design.form.betas:
         return "the law that the C code computes is not of the kind that is covered"
     made = programs(design)
     if made is None:
