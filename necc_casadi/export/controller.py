@@ -10,10 +10,12 @@ With ``casimir`` it reads ξ off x, and keeps ξ − γ(x) of the published loop
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import casadi as ca
 
 from necc_casadi.designs.integral import integral_rate
-from necc_casadi.designs.law import law_of
+from necc_casadi.designs.law import Law, law_of
 from necc_casadi.export.casadi2c import c_function
 from necc_casadi.export.margin import (
     margin_code,
@@ -42,7 +44,6 @@ _START = {
 def controller(source: Source) -> str:
     """The text of ``necc.c``."""
     networks, real = c_networks(source), source.number
-    saturation = _saturation(source)
     text = fill(
         "necc.c",
         design_hash=source.design.hash,
@@ -56,9 +57,10 @@ def controller(source: Source) -> str:
         parts=indent(_parts(source)),
         shape=indent(_shape(source)),
         law_arguments=_members(source),
+        share=_share(source, ""),
+        share_parameter=", const necc_real share[1]" if source.scales_rate else "",
         **_update(source),
-        saturation=saturation,
-        saturate="saturate(u)" if saturation else "NECC_OK",
+        **_limits(source),
         xi_star=real.literals(source.design.stored_star),
         init_at=_init_at(source),
         start=indent(_start(source)),
@@ -75,8 +77,8 @@ def _update(source: Source) -> dict[str, str]:
     integrate = "" if source.design.integral is None else _INTEGRATE
     if kept is None:
         return {
-            "integrator": fill(f"{source.integrator}.c"),
-            "update": fill("update_held.c", integrate=integrate),
+            "integrator": fill(f"{source.integrator}.c", share=_share(source, "s->")),
+            "update": fill("update_held.c", integrate=integrate, share=_share(source, "next.")),
             "rate_of": "xi' alone.",
             "arrive": "",
             "remember": "\n    (void)memcpy(next.xidot, xidot, sizeof xidot);\n    next.moved = 0;",
@@ -88,6 +90,7 @@ def _update(source: Source) -> dict[str, str]:
         "update_kept.c",
         steps=source.substeps,
         longest=real.literal(source.longest_due),
+        share=_share(source, "s->"),
         integrate=integrate.replace("next.", "state->"),
     )
     return {
@@ -111,7 +114,8 @@ def _integral(source: Source) -> dict[str, str]:
     return {
         "integral": code,
         "counter": "\n    int i;",
-        "subtract": "\n    for (i = 0; i < NECC_NU; ++i) {\n        v[i] -= state->zeta[i];\n    }",
+        "subtract": "\n    for (i = 0; i < NECC_NU; ++i) {\n"
+        f"        {source.asked}[i] -= state->zeta[i];\n    }}",
     }
 
 
@@ -137,10 +141,21 @@ def _leaves(source: Source) -> list[str]:
     if needs_state(source):
         leaves.append(c_function("model_state", arguments[:1], [("state", law.state)], real))
     leaves.append(c_function("control_law", arguments, [("u", law.u), ("xidot", law.rate)], real))
-    moved = law.rate if source.kept is None else law.damped
-    leaves.append(c_function("state_rate", arguments, [("xidot", moved)], real))
+    leaves.append(_state_rate(source, law, arguments))
+    if design.scales_damping:
+        results = [("resting", law.resting), ("pull", law.pull)]
+        leaves.append(c_function("parted_law", arguments, results, real))
     leaves.append(c_function("energy_slope", arguments, [("gradient", law.V_xi)], real))
     return leaves
+
+
+def _state_rate(source: Source, law: Law, arguments: Sequence[tuple[str, ca.SX]]) -> str:
+    """The rate of what is kept, with the share of damping where limits scale that, too."""
+    share = ca.SX.sym("share") if source.scales_rate else ca.SX(1)
+    damped = share * law.damped
+    moved = law.undamped + damped if source.kept is None else damped
+    more = [("share", share)] if source.scales_rate else []
+    return c_function("state_rate", [*arguments, *more], [("xidot", moved)], source.number)
 
 
 def needs_state(source: Source) -> bool:
@@ -205,12 +220,41 @@ def _casimir(source: Source) -> tuple[list[str], list[str]]:
     )
 
 
-def _saturation(source: Source) -> str:
-    limits = source.design.loop.plant.u_limits
+def _limits(source: Source) -> dict[str, str]:
+    """The law in ``necc_output``, and how u keeps its limits there."""
+    limits, at = source.design.loop.plant.u_limits, "at" if moving_set(source) else "x"
     if limits is None:
-        return ""
+        return {**_plain_law(at), "saturation": "", "saturate": "NECC_OK"}
     low, high = (source.number.literals(side) for side in zip(*limits, strict=True))
-    return fill("saturation.c", low=low, high=high)
+    if not source.design.scales_damping:
+        text = fill("saturation.c", low=low, high=high)
+        return {**_plain_law(at), "saturation": text, "saturate": "saturate(u)"}
+    share = "next.share" if source.scales_rate else "share"
+    of_state = ", next.share" if source.scales_rate else ""
+    members = _members(source)
+    return {
+        "saturation": fill("scaling.c", low=low, high=high),
+        "saturate": "flags",
+        "parts_of_u": "\n    necc_real resting[NECC_NU], pull[NECC_NU];"
+        + ("" if source.scales_rate else "\n    necc_real share[1];")
+        + "\n    shape_terms s;\n    int flags;",
+        "law": f"shape({at}, next.xi, &s);\n    "
+        f"parted_law({at}, next.xi, {members}, resting, pull);",
+        "scale": "\n    if (all_finite(resting, NECC_NU) == 0 || all_finite(pull, NECC_NU) == 0) {"
+        "\n        return NECC_REJECTED;\n    }"
+        f"\n    flags = scale(resting, pull, v, {share});"
+        f"\n    state_rate({at}, next.xi, {members}{of_state}, xidot);",
+    }
+
+
+def _plain_law(at: str) -> dict[str, str]:
+    law = f"necc_control({at}, next.xi, v, xidot);"
+    return {"law": law, "parts_of_u": "", "scale": ""}
+
+
+def _share(source: Source, of: str) -> str:
+    """One more argument: the share of damping at the last sample, where it has to do with ξ."""
+    return f", {of}share" if source.scales_rate else ""
 
 
 def _start(source: Source) -> str:
