@@ -102,7 +102,7 @@ def sampled_text(sampling: SampledLoop, certificate: Certificate | None) -> str:
     longest = down(region.period * units.time, 4)
     return (
         f"proved to converge from a region for all periods up to {longest} "
-        f"s{', with u clipped to its limits' if region.clipped else ''}{_disturbed(certificate)}; "
+        f"s{', with u kept within its limits' if region.clipped else ''}{_disturbed(certificate)}; "
         f"{local}"
     )
 
