@@ -175,7 +175,7 @@ def starts_text(kept: Judged) -> str:
     if kept.certificate.stability != "asymptotic":
         return f"{len(response.arrived)} that fill the domain: none need arrive"
     limited = kept.design.loop.plant.u_limits is not None
-    clipped = ", inputs clipped to their limits" if limited else ""
+    clipped = ", inputs within their limits" if limited else ""
     dear = "" if kept.cost_to_lqr is None else f"; cost {kept.cost_to_lqr:.3g} × LQR"
     unknown = len(response.arrived) - kept.arrivals - len(response.strayed)
     way = (
