@@ -96,7 +96,18 @@ def compiled(model: Model, made: Design, folder: Path, limited: bool) -> ctypes.
         "#define _GNU_SOURCE\n#include <math.h>\n" + text, encoding="utf-8"
     )
     library = folder / "loop.so"
-    command = ["gcc", *["-DLIMITED"] * limited, "-O3", "-shared", "-fPIC", "-std=c99", "-o", library, "loop.c", "necc.c"]
+    command = [
+        "gcc",
+        *["-DLIMITED"] * limited,
+        "-O3",
+        "-shared",
+        "-fPIC",
+        "-std=c99",
+        "-o",
+        library,
+        "loop.c",
+        "necc.c",
+    ]
     subprocess.run([*command, "-lm"], cwd=folder, check=True)
     return ctypes.CDLL(str(library))
 

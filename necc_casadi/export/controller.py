@@ -44,6 +44,7 @@ _START = {
 def controller(source: Source) -> str:
     """The text of ``necc.c``."""
     networks, real = c_networks(source), source.number
+    integral, target = _integral(source), target_code(source)
     text = fill(
         "necc.c",
         design_hash=source.design.hash,
@@ -60,13 +61,13 @@ def controller(source: Source) -> str:
         share=_share(source, ""),
         share_parameter=", const necc_real share[1]" if source.scales_rate else "",
         **_update(source),
-        **_limits(source),
+        **_limits(source, integral.pop("subtract") + target.pop("forward")),
         xi_star=real.literals(source.design.stored_star),
         init_at=_init_at(source),
         start=indent(_start(source)),
         margin=margin_code(source),
-        **_integral(source),
-        **target_code(source),
+        **integral,
+        **target,
     )
     return source.named(text)
 
@@ -220,36 +221,32 @@ def _casimir(source: Source) -> tuple[list[str], list[str]]:
     )
 
 
-def _limits(source: Source) -> dict[str, str]:
-    """The law in ``necc_output``, and how u keeps its limits there."""
+def _limits(source: Source, added: str) -> dict[str, str]:
+    """The law in ``necc_output``, with what is added to u, and how u keeps its limits."""
     limits, at = source.design.loop.plant.u_limits, "at" if moving_set(source) else "x"
+    plain = {"law": f"necc_control({at}, next.xi, v, xidot);{added}", "parts_of_u": ""}
     if limits is None:
-        return {**_plain_law(at), "saturation": "", "saturate": "NECC_OK"}
+        return {**plain, "saturation": "", "saturate": "NECC_OK"}
     low, high = (source.number.literals(side) for side in zip(*limits, strict=True))
     if not source.design.scales_damping:
         text = fill("saturation.c", low=low, high=high)
-        return {**_plain_law(at), "saturation": text, "saturate": "saturate(u)"}
-    share = "next.share" if source.scales_rate else "share"
-    of_state = ", next.share" if source.scales_rate else ""
-    members = _members(source)
+        return {**plain, "saturation": text, "saturate": "saturate(u)"}
+    law = fill(
+        "law_scaled.c",
+        at=at,
+        members=_members(source),
+        added=added.replace("\n    ", "\n"),
+        share="next.share" if source.scales_rate else "share",
+        of_rate=_share(source, "next."),
+    )
+    own = [] if source.scales_rate else ["necc_real share[1];"]
+    parts = ["necc_real resting[NECC_NU], pull[NECC_NU];", *own, "shape_terms s;", "int flags;"]
     return {
+        "law": indent(law).lstrip(),
+        "parts_of_u": "".join(f"\n    {part}" for part in parts),
         "saturation": fill("scaling.c", low=low, high=high),
         "saturate": "flags",
-        "parts_of_u": "\n    necc_real resting[NECC_NU], pull[NECC_NU];"
-        + ("" if source.scales_rate else "\n    necc_real share[1];")
-        + "\n    shape_terms s;\n    int flags;",
-        "law": f"shape({at}, next.xi, &s);\n    "
-        f"parted_law({at}, next.xi, {members}, resting, pull);",
-        "scale": "\n    if (all_finite(resting, NECC_NU) == 0 || all_finite(pull, NECC_NU) == 0) {"
-        "\n        return NECC_REJECTED;\n    }"
-        f"\n    flags = scale(resting, pull, v, {share});"
-        f"\n    state_rate({at}, next.xi, {members}{of_state}, xidot);",
     }
-
-
-def _plain_law(at: str) -> dict[str, str]:
-    law = f"necc_control({at}, next.xi, v, xidot);"
-    return {"law": law, "parts_of_u": "", "scale": ""}
 
 
 def _share(source: Source, of: str) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import lru_cache
 
 import casadi as ca
 import numpy as np
@@ -80,6 +81,7 @@ def reference_step(design: Design, integrator: Integrator) -> ca.Function:
     return ca.Function("necc_step", [x, xi, dt], [u, after])
 
 
+@lru_cache(maxsize=4)
 def share_of_damping(design: Design) -> ca.Function:
     """(x, s) -> what limits of u leave of the damping, at what is measured; 1 where they clip u."""
     V, limits = design.lyapunov, design.loop.plant.u_limits

@@ -233,7 +233,7 @@ class LyapunovFunction:
         form = self.form
         return value(self.terms, z, form.controller_energy(w), form.casimir(w), form.outer(w))
 
-    @property
+    @cached_property
     def resting(self) -> LyapunovFunction:
         """The same V without the damping that limits of inputs scale."""
         return replace(self, damping=without_inputs(self.damping, self.terms.m))

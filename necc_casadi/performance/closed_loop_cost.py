@@ -45,9 +45,8 @@ class Feedback:
     law: ca.Function  # (x, s) -> (u, ṡ), s what the controller keeps
     nc: int  # states of the controller
     start: Callable[[Vector], Vector]  # x(0) (n,) -> s(0) (nc,)
-    resting: ca.Function | None = (
-        None  # the law without the damping that limits scale; None: they clip
-    )
+    #: the law without the damping that limits scale; None: they clip each input
+    resting: ca.Function | None = None
 
     def limited(self, low: Vector, high: Vector) -> ca.Function:
         """(x, s) -> (u, ṡ, what u would be), u within these limits, (m,) each; ∞ where none."""

@@ -118,7 +118,7 @@ int necc_output(necc_state *state, const necc_real x[NECC_NX], necc_real u[NECC_
         return NECC_REJECTED;
     }
     next = *state;
-    @see@@arrive@@law@@subtract@@forward@@scale@
+    @see@@arrive@@law@
     if (all_finite(v, NECC_NU) == 0 || all_finite(xidot, NECC_NXI) == 0) {
         return NECC_REJECTED;
     }
