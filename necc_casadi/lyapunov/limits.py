@@ -13,6 +13,7 @@ docs/theory.md#clipped-inputs.
 from __future__ import annotations
 
 import casadi as ca
+import numpy as np
 
 from necc_casadi.arrays import Vector
 
@@ -64,14 +65,17 @@ def scaled(
 
 
 def share(resting: ca.MX, v: ca.MX, low: ca.DM, high: ca.DM) -> ca.MX:
-    """τ ∈ [0, 1] for u = resting + τv, a scalar."""
-    span = high - low
-    up, down = _fitting(high - resting, v, span), _fitting(resting - low, -v, span)
-    return ca.mmin(ca.vertcat(up, down))
+    """τ ∈ [0, 1] for u = resting + τv, a scalar; limits may be ∞."""
+    parts = [ca.MX(1)]
+    ends = (np.asarray(side, float).ravel() for side in (low, high))
+    for i, (lo, hi) in enumerate(zip(*ends, strict=True)):
+        parts += [_fitting(hi - resting[i], v[i])] * bool(np.isfinite(hi))
+        parts += [_fitting(resting[i] - lo, -v[i])] * bool(np.isfinite(lo))
+    return ca.mmin(ca.vertcat(*parts))
 
 
-def _fitting(room: ca.MX, v: ca.MX, span: ca.DM) -> ca.MX:
-    """The share of vᵢ that fits into the room, at most 1, and 1 where there is none, (m,)."""
-    none = ca.DM(*room.shape)
-    some = ca.if_else(room > none, room, ca.MX(span))  # never divides by 0
-    return ca.if_else(room > none, some / ca.fmax(v, some), ca.MX(none + 1))
+def _fitting(room: ca.MX, v: ca.MX) -> ca.MX:
+    """The share of v that fits into the room, at most 1, and 1 where there is none."""
+    none, one = ca.DM(1, 1), ca.MX(1)
+    some = ca.if_else(room > none, room, one)  # never divides by 0
+    return ca.if_else(room > none, some / ca.fmax(v, some), one)

@@ -193,6 +193,20 @@ def test_a_diagonal_damping_is_clipped():
     assert arm(False).scales_damping
 
 
+def test_a_limit_may_be_infinite():
+    """Of one side alone: the other has no say, in value and slope."""
+    made = pendulum(((-np.inf, 0.4),))
+    compiled = compile_controller(made, flags=STRICT)
+    seen = set()
+    for x, xi in states(made, 20, seed=5):
+        u, rate = (np.asarray(v, float).ravel() for v in made.limited_controller.call([x, xi])[:2])
+        assert np.all(np.isfinite([*u, *rate]))
+        us, _, flags = compiled.samples(xi, x[None], np.array([0.0]))
+        assert_allclose(us[0], u, rtol=1e-11, atol=1e-11)
+        seen.add(int(flags[0]))
+    assert seen == {0, SATURATED}
+
+
 finite = st.floats(-5, 5).map(lambda a: round(a, 3))
 
 
