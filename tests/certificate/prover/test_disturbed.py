@@ -18,6 +18,7 @@ from necc_casadi.certificate.prover.certify import certify, with_sampled_loop
 from necc_casadi.certificate.prover.sampled import prove
 from necc_casadi.certificate.prover.sampled.disturbance import Computed, Disturbed
 from necc_casadi.certificate.prover.sampled.disturbed import prove_disturbed
+from necc_casadi.certificate.prover.sampled.measured import Measured
 from necc_casadi.certificate.prover.sampled.rounding import Rounding, programs
 from necc_casadi.certificate.prover.sampled.step import Step
 from necc_casadi.export.compiled import Running, compile_controller
@@ -39,8 +40,8 @@ def disturbed(design, Q, period, alpha=None):
     frame = np.linalg.inv(np.linalg.cholesky(S))
     reach = np.full(1, 0.0 if alpha is None else 0.3)
     return Disturbed(
-        Step(Potential(design), "heun"), Q, frame, NOISE, ERROR, 2.0**-53, period / 100, period,
-        alpha, reach,
+        Step(Potential(design), "heun"), Measured(design), Q, frame, NOISE, ERROR, 2.0**-53,
+        period / 100, period, alpha, reach,
     )  # fmt: skip
 
 
@@ -216,9 +217,9 @@ def test_laws_that_are_not_covered_are_refused_in_words():
 
 def test_what_is_measured_or_told_otherwise_is_refused_by_its_name(default_design):
     loop = default_design.loop
-    plant = replace(loop.plant, inertia=sp.ImmutableMatrix([[1]]))
+    plant = replace(loop.plant, inertia=sp.ImmutableMatrix([[2]]))  # its p is q̇ times 1
     fed = replace(default_design, loop=replace(loop, plant=plant))
-    assert "velocities are measured" in prove_disturbed(fed, None, 0.01, Disturbances())
+    assert "p = M(q)q̇ is not proved" in prove_disturbed(fed, None, 0.01, Disturbances())
     moving = replace(default_design, setpoints={"q": (-1, 1)})
     assert "at run time" in prove_disturbed(moving, None, 0.01, Disturbances())
 
