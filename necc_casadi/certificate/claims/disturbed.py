@@ -17,7 +17,7 @@ class Disturbances:
     """What the sampled loop is asked to bear beyond exact arithmetic; units of the model."""
 
     precision: Number = "double"
-    noise: Mapping[str, float] = field(default_factory=dict)  # of measured states, at most
+    noise: Mapping[str, float] = field(default_factory=dict)  # of what is measured, at most
     input_error: Mapping[str, float] = field(default_factory=dict)  # of inputs as applied
     shortest: float | None = None  # period, s; None: a hundredth of the longest
     delayed: bool = False  # u comes one sample late
@@ -41,11 +41,11 @@ class DisturbedRegion(Covered):
     shortest: float  # period
     period: float  # the longest
     precision: Number
-    noise: tuple[float, ...]  # (n,), of x as it is measured
+    noise: tuple[float, ...]  # (n,), of what is measured: x, or (q, q̇)
     input_error: tuple[float, ...]  # (m,), of u as it is applied
     delay: float | None  # α of S = W + αT|e|², e the change of u within a sample; None: no delay
-    casimirs: Program  # (x, ξ) -> c
-    law: Program  # (x, ξ, ∇Hc, ∇K) -> (u, ξ̇)
+    casimirs: Program  # (y, ξ) -> c, y measured
+    law: Program  # (y, ξ, ∇Hc, ∇K) -> (u, ξ̇)
     frame: Rows  # C, lower triangular, |C∇V| for the length of a slope
     level: float  # w₁, of W or of S
     height: float  # w₁ − V(z̄) is at least this

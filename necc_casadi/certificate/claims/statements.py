@@ -18,6 +18,7 @@ from necc_casadi.certificate.claims.regions import MOST_KEPT, Obstacle, Obstacle
 from necc_casadi.certificate.claims.rounding import LIBRARY
 from necc_casadi.certificate.claims.sampled import Method, SampledRegion
 from necc_casadi.certificate.claims.units import Units
+from necc_casadi.texts import velocity_names
 
 __all__ = [
     "DAMPING",
@@ -222,7 +223,7 @@ NotSampled = Literal[
 
 #: What may be missing for a claim about it under rounding, noise and delay.
 NotDisturbed = Literal[
-    "velocities are measured, and only measured states of the model are covered",
+    "velocities are measured, and p = M(q)q̇ is not proved",
     "set-points or parameters at run time are not covered",
     "the law that the C code computes is not of the kind that is covered",
     "the law has an operation whose rounding is not known",
@@ -514,14 +515,24 @@ def sampled(
 
 def disturbed(
     found: DisturbedRegion, states: Sequence[str], inputs: Sequence[str], units: Units,
-    input_units: Sequence[float],
+    input_units: Sequence[float], velocities: bool,
 ) -> str:  # fmt: skip
-    """Of where the sampled loop comes to and stays, under what is assumed of its disturbances."""
+    """Of where the sampled loop comes to and stays, under what is assumed of its disturbances.
+
+    `velocities`: measured are (q, q̇), not the states (q, p).
+    """
     periods = f"[{up(found.shortest * units.time, 6)}, {down(found.period * units.time, 6)}] s"
-    noise = _within(states, found.noise, units.state)
+    n, k = len(found.noise), len(found.noise) // 2
+    names = (*states[:k], *velocity_names(states[:k])) if velocities else states[:n]
+    noise = _within(names, found.noise, units.measured(n, velocities))
+    exactly = ", ".join(names) if velocities else "x"
     measured = (
-        f"measured {noise}, then rounded" if noise else "x measured without error but rounded"
+        f"measured {noise}, then rounded"
+        if noise
+        else f"{exactly} measured without error but rounded"
     )
+    momenta = f", states of the model: {', '.join(states[k:n])} = M(q)q̇ of the plant, without noise"
+    momenta = momenta if velocities else ""
     applied = _within(inputs, found.input_error, input_units)
     applied = f"{applied} as it is applied" if applied else "u applied as it is computed"
     start = f"{{W − V(z̄) < {down(found.height * units.energy, 6)}}}"
@@ -540,10 +551,10 @@ def disturbed(
         f"for every sequence of sampling periods in {periods}, in the C code's arithmetic in "
         f"{found.precision}, {measured}, {applied}{late}: every solution from {start} in Ω_T of "
         "the sampled loop is in Ω_T at every sample, after finitely many comes into {W − V(z̄) < "
-        f"{limit}}} and stays there, within {radii} of z̄. Assumed: IEEE arithmetic, rounded to "
-        "nearest, without overflow; dt is the period rounded to its type; functions of the C "
-        f"library err by at most {LIBRARY:g} units in the last place, the code's own activations "
-        "by no more than was measured of them (docs/certificate-format.md)"
+        f"{limit}}} and stays there, within {radii} of z̄{momenta}. Assumed: IEEE arithmetic, "
+        "rounded to nearest, without overflow; dt is the period rounded to its type; functions of "
+        f"the C library err by at most {LIBRARY:g} units in the last place, the code's own "
+        "activations by no more than was measured of them (docs/certificate-format.md)"
     )
 
 

@@ -22,7 +22,6 @@ from necc_casadi.certificate.claims.regions import (
     Stability,
 )
 from necc_casadi.certificate.claims.sampled import SampledRegion
-from necc_casadi.certificate.claims.units import Units
 from necc_casadi.certificate.prover.arithmetic.intervals import Interval, self_test
 from necc_casadi.certificate.prover.arithmetic.potential import Potential
 from necc_casadi.certificate.prover.arithmetic.smooth import ends_at, written
@@ -40,12 +39,13 @@ from necc_casadi.certificate.prover.sampled.disturbed import prove_disturbed
 from necc_casadi.certificate.prover.sampled.prove import prove_sampled
 from necc_casadi.certificate.prover.setpoints import prove_setpoints
 from necc_casadi.certificate.prover.solutions import what_follows
+from necc_casadi.certificate.prover.units import units_of
 from necc_casadi.certificate.prover.vanishing_damping import prove_slow_attraction
 from necc_casadi.designs.design import Design
 from necc_casadi.model.lagrangian import Plants
 from necc_casadi.model.ranges import Range
 
-__all__ = ["certify", "units_of", "with_sampled_loop"]
+__all__ = ["certify", "with_sampled_loop"]
 
 
 Report = Callable[[str, float], None]
@@ -183,7 +183,9 @@ def _disturbed(
     if not isinstance(found, DisturbedRegion):
         return Claim("disturbed", False, statements.disturbed_is_not_covered(found))
     names, units = (design.loop.states, design.loop.plant.input_names), units_of(design)
-    text = statements.disturbed(found, *names, units, list(map(float, design.units.input)))
+    inputs = list(map(float, design.units.input))
+    velocities = design.measurement.of_velocities
+    text = statements.disturbed(found, *names, units, inputs, velocities)
     return Claim("disturbed", True, text, found.data)
 
 
@@ -263,12 +265,6 @@ def _region(reduced: Potential, minimum: Interval, whole: bool) -> RegionProof |
     if not whole or plant.domain:
         return prove_region(reduced, minimum)
     return None if plant.u_limits is None else prove_region_within_limits(reduced, minimum)
-
-
-def units_of(design: Design) -> Units:
-    """The natural units of a design."""
-    units = design.units
-    return Units(tuple(map(float, units.state)), float(units.energy), float(units.time))
 
 
 def _obstacle(design: Design, proof: RegionProof) -> Obstacle:

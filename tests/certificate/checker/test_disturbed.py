@@ -47,14 +47,43 @@ def test_the_claim_is_proved_again(sampled_folder):
         assert words in claim.statement
 
 
-def test_what_is_left_near_the_minimum_is_proved_again(sampled_folder):
-    """All but the boxes, which take longest."""
-    _, stored, design = read_folder(sampled_folder)
+@pytest.mark.slow
+def test_the_claim_is_proved_again_where_velocities_are_measured(velocity_folder):
+    results = {result.name: result for result in check(velocity_folder)}
+    assert all(result.holds for result in results.values())
+    for words in (
+        "q within ±1e-05, q_dot within ±0.0001",
+        "of z̄, states of the model: p_q = M(q)q̇ of the plant, without noise",
+    ):
+        assert words in results["disturbed"].statement
+
+
+@pytest.mark.slow
+def test_noise_of_velocities_and_momenta_of_another_plant_are_refused(velocity_folder):
+    """More noise of q̇ than is proved, momenta nearer than is proved, and M twice as large."""
+    _, stored, design = read_folder(velocity_folder)
+    found = DisturbedRegion.read(Evidence(StoredDesign(design), stored).claims["disturbed"].data)
+    assert forged(velocity_folder).holds
+    noise, radius = list(found.noise), list(found.radius)
+    assert not forged(velocity_folder, noise=[noise[0], 1.5 * noise[1]]).holds
+    assert not forged(velocity_folder, radius=[radius[0], 0.9 * radius[1], radius[2]]).holds
+    design["model"]["inertia"] = [[f"2*({design['model']['inertia'][0][0]})"]]
+    proof = proof_of(stored, design)
+    assert not dict(proof.obligations())["q̇ of the plant at p = M(q)q̇"]()
+
+
+def proof_of(stored, design):
+    """What is to be proved of what is claimed."""
     evidence = Evidence(StoredDesign(design), stored)
     claims = {name: claim.data for name, claim in evidence.claims.items()}
     region = SampledRegion.read(claims["sampled"])
-    proof = _Disturbed(evidence, region, DisturbedRegion.read(claims["disturbed"]))
-    *others, _, boxes = proof.obligations()
+    return _Disturbed(evidence, region, DisturbedRegion.read(claims["disturbed"]))
+
+
+def test_what_is_left_near_the_minimum_is_proved_again(sampled_folder):
+    """All but the boxes, which take longest."""
+    _, stored, design = read_folder(sampled_folder)
+    *others, _, boxes = proof_of(stored, design).obligations()
     assert all(proved() for _, proved in others)
     assert "on every box" in boxes[0]
 
