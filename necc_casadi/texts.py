@@ -1,10 +1,14 @@
-"""Texts for places that do not take every letter: C code, narrow consoles, other people's names."""
+"""Texts for places that do not take every letter: C code, narrow consoles, other people's names.
+
+And names of rates.
+"""
 
 from __future__ import annotations
 
 import unicodedata
+from collections.abc import Sequence
 
-__all__ = ["escaped", "to_ascii"]
+__all__ = ["escaped", "to_ascii", "velocity_names"]
 
 
 _GREEK = {
@@ -74,3 +78,8 @@ def _escape(letter: str) -> str:
         if ord(letter) > 127
         else (letter.encode("unicode_escape").decode())
     )
+
+
+def velocity_names(coordinates: Sequence[str]) -> tuple[str, ...]:
+    """Names of the rates of coordinates."""
+    return tuple(f"{name}_dot" for name in coordinates)

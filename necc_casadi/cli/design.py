@@ -242,7 +242,8 @@ __all__ = ["design_command"]
 @output_option(
     "--noise",
     metavar="NAME=SIZE,…",
-    help="Largest error of measured states, in their units, for the same: q=1e-3,p=0.01.",
+    help="Largest error of what is measured, in its units, for the same: q=1e-3,p=0.01; of "
+    "velocities q_dot=0.01.",
 )
 @output_option(
     "--input-error",

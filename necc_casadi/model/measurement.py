@@ -7,7 +7,6 @@ In velocities the energy of a mechanical plant needs no inverse of its inertia:
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -18,16 +17,12 @@ from necc_casadi.model.plant import Plant
 from necc_casadi.symbolic.derivatives import gradient
 from necc_casadi.symbolic.linear_algebra import tidy
 from necc_casadi.symbolic.zero import is_zero
+from necc_casadi.texts import velocity_names
 
-__all__ = ["Measurement", "canonical_inertia", "velocity_names"]
+__all__ = ["Measurement", "canonical_inertia"]
 
 
 _REMEDY = "Leave `measured` out, or write the plant with q, M, V and B."
-
-
-def velocity_names(coordinates: Sequence[str]) -> tuple[str, ...]:
-    """Names of the rates of coordinates."""
-    return tuple(f"{name}_dot" for name in coordinates)
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,7 +5,8 @@ Controller, PlantControllerInterconnection):
 
     Ĥ(x̂) = H(Sx̂)/E,  Ĵ = TE S⁻¹JS⁻¹ (R, Jc, Rc alike),  Ĝ = T S⁻¹GU,  Ĝc = E S⁻¹Gc U⁻¹;
     of power shaping γ̂ = S⁻¹γ(Sx̂),  α̂ = E U⁻¹αS⁻¹,  v̂_c = T S⁻¹v_c;
-    of preliminary feedback  f̂ = T S⁻¹f,  ĝ = T S⁻¹gU,  û₀ = U⁻¹u₀,  B̂ = U⁻¹BU.
+    of preliminary feedback  f̂ = T S⁻¹f,  ĝ = T S⁻¹gU,  û₀ = U⁻¹u₀,  B̂ = U⁻¹BU;
+    of velocities  M̂ = T⁻¹S_p⁻¹M S_q,  p̂ = M̂q̂̇.
 
 Powers of two make every number of the new loop the old one with another exponent.
 """
@@ -25,7 +26,13 @@ from necc_casadi.model.plant import Plant
 from necc_casadi.model.shaped_loop import ShapedLoop
 from necc_casadi.model.sizes import Sizes
 
-__all__ = ["exactly", "rescaled_functions", "rescaled_loop", "rescaled_motion"]
+__all__ = [
+    "exactly",
+    "rescaled_functions",
+    "rescaled_inertia",
+    "rescaled_loop",
+    "rescaled_motion",
+]
 
 
 def exactly(values: Vector) -> list[sp.Rational]:
@@ -34,7 +41,10 @@ def exactly(values: Vector) -> list[sp.Rational]:
 
 
 def rescaled_loop(loop: ClosedLoop, units: Sizes) -> ClosedLoop:
-    """Plant and controller measured in `units`; names of states stay, names of units go."""
+    """Plant and controller measured in `units`; names of states stay, names of units go.
+
+    What is measured of it are its states.
+    """
     plant, controller = loop.plant, loop.controller
     scale = _substitution(loop, units)
     state = exactly(units.state)
@@ -92,6 +102,16 @@ def rescaled_loop(loop: ClosedLoop, units: Sizes) -> ClosedLoop:
             properties=controller.properties,
         ),
     )
+
+
+def rescaled_inertia(loop: ClosedLoop, units: Sizes) -> sp.ImmutableMatrix | None:
+    """M of p = M(q)q̇ in `units`; None where no velocities are measured. The loop itself takes x."""
+    plant, k = loop.plant, loop.plant.n // 2
+    if plant.inertia is None:
+        return None
+    rows, (time,) = exactly(units.state), exactly(np.array([units.time]))
+    scale = _substitution(loop, units)
+    return _entries(plant.inertia, scale, lambda i, j: rows[j] / (time * rows[k + i]))
 
 
 def rescaled_motion(system: Equilibria, units: Sizes) -> ControlAffine:

@@ -6,7 +6,9 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from necc_casadi.errors import OptionError
+from necc_casadi.model.measurement import Measurement
 from necc_casadi.model.modulated import System
+from necc_casadi.model.plant import Plant
 from necc_casadi.symbolic.expressions import parse_number
 
 if TYPE_CHECKING:
@@ -61,7 +63,8 @@ def read_disturbances(request: Request, system: System) -> Disturbances:
 
 
 def _noise(request: Request, system: System) -> dict[str, float]:
-    return _sizes("--noise", request.noise, [str(s) for s in system.x])
+    measured = Measurement(system).names if isinstance(system, Plant) else map(str, system.x)
+    return _sizes("--noise", request.noise, list(measured))
 
 
 def _input_error(request: Request, system: System) -> dict[str, float]:

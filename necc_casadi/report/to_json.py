@@ -190,7 +190,8 @@ def _disturbed_region(made: Design, certificate: Certificate | None) -> dict[str
     found = None if certificate is None else certificate.disturbed
     if certificate is None or found is None:
         return None
-    units, plant = certificate.units, made.loop.plant
+    units, plant, measured = certificate.units, made.loop.plant, made.measurement
+    sizes_of_noise = units.measured(plant.n, measured.of_velocities)
 
     def by_name(names: Sequence[object], sizes: Sequence[float], scale: Iterable[float]) -> Any:
         triples = zip(names, sizes, scale, strict=False)
@@ -199,7 +200,7 @@ def _disturbed_region(made: Design, certificate: Certificate | None) -> dict[str
     return {
         "periods": [found.shortest * units.time, found.period * units.time],
         "real": found.precision,
-        "noise": by_name(plant.states, found.noise, units.state),
+        "noise": by_name(measured.names, found.noise, sizes_of_noise),
         "input_error": by_name(plant.input_names, found.input_error, made.units.input),
         "delayed": found.delay is not None,
         "level_above_minimum": found.height * units.energy,

@@ -68,6 +68,14 @@ def pendulum(limits=None) -> Design:
     return sprung(loop, casimirs, [sp.Rational(3, 4)], 4, 4, 2, 0.5)
 
 
+def crank(mass: float = 1.0) -> Design:
+    """One coordinate whose inertia moves with it, m(1 + ½cos²q)."""
+    q, m = sp.Symbol("q", real=True), sp.nsimplify(mass)
+    M = m * (1 + sp.cos(q) ** 2 / 2)
+    loop, casimirs = mechanical_loop(M, m * (1 - sp.cos(q)), 1, q, m / 10)
+    return sprung(loop, casimirs, [sp.Rational(3, 4)], 4 * mass, 4 * mass, 2 * mass, 0.5 / mass)
+
+
 def crane(wind: str = "0", **ranges) -> tuple[Design, Plants]:
     """A cart with a load that hangs, m in the model 1, and plants with m and a wind w that vary."""
     s, a, m, w = sp.symbols("s a m w", real=True)

@@ -1,8 +1,10 @@
 """What the sampled loop is asked to bear: read, and refused in two lines."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
+import sympy as sp
 
 from necc_casadi.errors import OptionError
 from necc_casadi.model.model_file import load_model
@@ -28,6 +30,15 @@ def test_sizes_are_read_by_name(plant):
     found = read_disturbances(request, plant)
     assert found.noise == {"q": 1e-3, "p": 0.125}
     assert (found.input_error, found.precision, found.delayed) == ({"u": 0.0}, "float", False)
+
+
+def test_noise_is_named_by_what_is_measured(plant):
+    """Of a plant that is given q̇ no momentum is."""
+    fed = replace(plant, inertia=sp.ImmutableMatrix([[1]]))
+    found = read_disturbances(asked(sample_time=0.01, noise="q=1e-3,q_dot=0.1"), fed)
+    assert found.noise == {"q": 1e-3, "q_dot": 0.1}
+    with pytest.raises(OptionError, match="p=1 is not NAME=SIZE of q, q_dot"):
+        check_disturbances(asked(sample_time=0.01, noise="p=1"), fed)
 
 
 def test_python_says_the_same(plant):

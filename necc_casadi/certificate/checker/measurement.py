@@ -12,7 +12,7 @@ from necc_casadi.certificate.checker.model import StoredDesign
 from necc_casadi.certificate.claims import statements
 from necc_casadi.symbolic.zero import is_zero
 
-__all__ = ["check_measurement"]
+__all__ = ["check_measurement", "gives_momenta"]
 
 
 def check_measurement(evidence: Evidence) -> Checked | None:
@@ -23,10 +23,13 @@ def check_measurement(evidence: Evidence) -> Checked | None:
     text = statements.MEASURED_OF_THIS_MASS
     if _needs_no_mass(model):
         text = statements.MEASURED_OF_ANY_MASS
-    return Checked.by("measurement", text, [("q̇ of the plant at p = M q̇", partial(_fits, model))])
+    return Checked.by(
+        "measurement", text, [("q̇ of the plant at p = M q̇", partial(gives_momenta, model))]
+    )
 
 
-def _fits(model: StoredDesign) -> bool:
+def gives_momenta(model: StoredDesign) -> bool:
+    """Whether q̇ of the plant at p = M q̇ is q̇, and no input enters it."""
     M, (k, odd) = model.inertia, divmod(model.n, 2)
     if M is None or odd or M.shape != (k, k):
         return False

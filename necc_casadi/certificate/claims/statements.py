@@ -18,10 +18,9 @@ from necc_casadi.certificate.claims.regions import MOST_KEPT, Obstacle, Obstacle
 from necc_casadi.certificate.claims.rounding import LIBRARY
 from necc_casadi.certificate.claims.sampled import Method, SampledRegion
 from necc_casadi.certificate.claims.units import Units
+from necc_casadi.texts import velocity_names
 
 __all__ = [
-    "CLIPPED_EVERYWHERE",
-    "CLIPPING_IS_NOT_COVERED",
     "DAMPING",
     "DECREASE",
     "GLOBAL",
@@ -50,6 +49,7 @@ __all__ = [
     "NotSampled",
     "attraction",
     "casimir",
+    "clipped_everywhere",
     "clipping",
     "conserved",
     "disturbed",
@@ -223,7 +223,7 @@ NotSampled = Literal[
 
 #: What may be missing for a claim about it under rounding, noise and delay.
 NotDisturbed = Literal[
-    "velocities are measured, and only measured states of the model are covered",
+    "velocities are measured, and p = M(q)q̇ is not proved",
     "set-points or parameters at run time are not covered",
     "the law that the C code computes is not of the kind that is covered",
     "the law has an operation whose rounding is not known",
@@ -247,18 +247,6 @@ NO_NEIGHBOURHOOD = (
 
 #: More states that are not minimised out than a region may keep.
 TOO_MANY = f"{NO_NEIGHBOURHOOD}, with at most {MOST_KEPT} states that are not minimised out"
-
-
-#: Where u is a constant beside its damping.
-CLIPPED_EVERYWHERE = (
-    "u without its damping is a constant strictly within the limits, and D is diagonal: what is "
-    "said of solutions holds from the same states with u clipped to its limits"
-)
-
-
-CLIPPING_IS_NOT_COVERED = (
-    "nothing is claimed of clipped inputs: the damping D is not diagonal, or coupled with ξ"
-)
 
 
 #: Coordinates of a place that are told at most.
@@ -412,7 +400,7 @@ def unproved(limits: Sequence[Sequence[float]]) -> Mapping[str, frozenset[str]]:
     return {
         "region": frozenset([NO_REGION, NO_NEIGHBOURHOOD, TOO_MANY]),
         "input_limits": frozenset([no_limits(limits)]),
-        "clipping": frozenset([no_clipping(limits), CLIPPING_IS_NOT_COVERED]),
+        "clipping": frozenset([no_clipping(limits)]),
         "global": frozenset(map(not_global, get_args(Missing))),
         "measurement": frozenset([NOT_MEASURED]),
         "momenta": frozenset([NO_MOMENTA]),
@@ -457,12 +445,36 @@ def input_limits(limits: Sequence[Sequence[float]], height: float, whole: bool) 
     )
 
 
-def clipping(limits: Sequence[Sequence[float]], height: float, whole: bool) -> str:
-    """Of the height above V(z̄) up to which clipped inputs change nothing of what is said."""
+#: How the controller keeps the limits of u, by whether it scales damping.
+_LIMITED = {
+    False: "every input clipped to {limits}",
+    True: "u kept within {limits} by scaling all of its damping injection alike, as the code does,",
+}
+
+
+#: What is not said of the loop with limits, which other claims are about.
+_NOT_MEANT = (
+    "rates of decay, sampled loops, other set-points and plants, and integral action are not meant"
+)
+
+
+def clipping(limits: Sequence[Sequence[float]], height: float, whole: bool, scaled: bool) -> str:
+    """Of the height above V(z̄) up to which limited inputs change nothing of what is said."""
     where = "Ω" if whole else f"{{V − V(z̄) ≤ {down(height, 6)}}} in Ω"
     return (
-        f"with the damping of this design and every input clipped to {ranges(limits)} all that is "
-        f"said of solutions holds on {where}: without damping u stays strictly within them there"
+        f"with the damping of this design and {_LIMITED[scaled].format(limits=ranges(limits))} all "
+        f"that is said of solutions holds on {where}: without damping u stays strictly within them "
+        f"there; {_NOT_MEANT}"
+    )
+
+
+def clipped_everywhere(scaled: bool) -> str:
+    """Where u is a constant beside its damping."""
+    how = "its damping injection scaled to keep them" if scaled else "u clipped to its limits"
+    why = "" if scaled else ", and D is diagonal"
+    return (
+        f"u without its damping is a constant strictly within the limits{why}: what is said of "
+        f"solutions holds from the same states with {how}; {_NOT_MEANT}"
     )
 
 
@@ -472,9 +484,16 @@ def no_clipping(limits: Sequence[Sequence[float]]) -> str:
 
 
 def sampled(
-    region: SampledRegion, states: Sequence[str], units: Units, limits: Sequence[Sequence[float]]
+    region: SampledRegion,
+    states: Sequence[str],
+    units: Units,
+    limits: Sequence[Sequence[float]],
+    scaled: bool,
 ) -> str:
-    """Of the sampled loop from {W < w₀}, for all periods up to the longest."""
+    """Of the sampled loop from {W < w₀}, for all periods up to the longest.
+
+    `scaled`: limits scale damping, and do not clip.
+    """
     period = down(region.period * units.time, 6)
     box = ", ".join(
         f"{name} in [{up(lo * unit, 6)}, {down(hi * unit, 6)}]"
@@ -482,8 +501,11 @@ def sampled(
     )
     inputs = f"u stays within {ranges(limits)} there" if limits else "u is not clipped"
     if region.clipped:
-        inputs = f"u is clipped to {ranges(limits)}, as the code does"
-    too = ", u clipped too," if region.clipped else ""
+        how = "kept within" if scaled else "clipped to"
+        inputs = f"u is {how} {ranges(limits)}, as the code does"
+        inputs += ", by scaling its damping injection" if scaled else ""
+    limited = ", u so kept," if scaled else ", u clipped too,"
+    too = limited if region.clipped else ""
     more = ", …" if len(states) > _TOLD else ""
     return (
         f"for every sequence of sampling periods in (0, {period}] s whose sum is infinite, every "
@@ -499,14 +521,24 @@ def sampled(
 
 def disturbed(
     found: DisturbedRegion, states: Sequence[str], inputs: Sequence[str], units: Units,
-    input_units: Sequence[float],
+    input_units: Sequence[float], velocities: bool,
 ) -> str:  # fmt: skip
-    """Of where the sampled loop comes to and stays, under what is assumed of its disturbances."""
+    """Of where the sampled loop comes to and stays, under what is assumed of its disturbances.
+
+    `velocities`: measured are (q, q̇), not the states (q, p).
+    """
     periods = f"[{up(found.shortest * units.time, 6)}, {down(found.period * units.time, 6)}] s"
-    noise = _within(states, found.noise, units.state)
+    n, k = len(found.noise), len(found.noise) // 2
+    names = (*states[:k], *velocity_names(states[:k])) if velocities else states[:n]
+    noise = _within(names, found.noise, units.measured(n, velocities))
+    exactly = ", ".join(names) if velocities else "x"
     measured = (
-        f"measured {noise}, then rounded" if noise else "x measured without error but rounded"
+        f"measured {noise}, then rounded"
+        if noise
+        else f"{exactly} measured without error but rounded"
     )
+    momenta = f", states of the model: {', '.join(states[k:n])} = M(q)q̇ of the plant, without noise"
+    momenta = momenta if velocities else ""
     applied = _within(inputs, found.input_error, input_units)
     applied = f"{applied} as it is applied" if applied else "u applied as it is computed"
     start = f"{{W − V(z̄) < {down(found.height * units.energy, 6)}}}"
@@ -525,10 +557,10 @@ def disturbed(
         f"for every sequence of sampling periods in {periods}, in the C code's arithmetic in "
         f"{found.precision}, {measured}, {applied}{late}: every solution from {start} in Ω_T of "
         "the sampled loop is in Ω_T at every sample, after finitely many comes into {W − V(z̄) < "
-        f"{limit}}} and stays there, within {radii} of z̄. Assumed: IEEE arithmetic, rounded to "
-        "nearest, without overflow; dt is the period rounded to its type; functions of the C "
-        f"library err by at most {LIBRARY:g} units in the last place, the code's own activations "
-        "by no more than was measured of them (docs/certificate-format.md)"
+        f"{limit}}} and stays there, within {radii} of z̄{momenta}. Assumed: IEEE arithmetic, "
+        "rounded to nearest, without overflow; dt is the period rounded to its type; functions of "
+        f"the C library err by at most {LIBRARY:g} units in the last place, the code's own "
+        "activations by no more than was measured of them (docs/certificate-format.md)"
     )
 
 

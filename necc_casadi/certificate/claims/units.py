@@ -27,6 +27,11 @@ class Units:
         """The largest unit of a state: a distance in the model is at most this per natural one."""
         return max(self.state)
 
+    def measured(self, n: int, velocities: bool) -> tuple[float, ...]:
+        """Of what is measured of n states of the plant: of these, or of (q, q̇)."""
+        q = self.state[: n // 2]
+        return (*q, *(size / self.time for size in q)) if velocities else self.state[:n]
+
     def place(self, states: Iterable[int], at: Iterable[float]) -> list[float]:
         """A point in some of the states, in the units of the model."""
         return [self.state[i] * v for i, v in zip(states, at, strict=True)]

@@ -22,7 +22,6 @@ from necc_casadi.certificate.claims.regions import (
     Stability,
 )
 from necc_casadi.certificate.claims.sampled import SampledRegion
-from necc_casadi.certificate.claims.units import Units
 from necc_casadi.certificate.prover.arithmetic.intervals import Interval, self_test
 from necc_casadi.certificate.prover.arithmetic.potential import Potential
 from necc_casadi.certificate.prover.arithmetic.smooth import ends_at, written
@@ -30,7 +29,7 @@ from necc_casadi.certificate.prover.attraction import prove_attraction, prove_on
 from necc_casadi.certificate.prover.decrease import prove_decrease
 from necc_casadi.certificate.prover.equilibrium import Equilibrium, prove_equilibrium
 from necc_casadi.certificate.prover.global_stability import prove_global_stability
-from necc_casadi.certificate.prover.input_limits import clipping_is_covered, holds_everywhere
+from necc_casadi.certificate.prover.input_limits import holds_everywhere
 from necc_casadi.certificate.prover.integral import prove_integral
 from necc_casadi.certificate.prover.local_integral import prove_local_integral
 from necc_casadi.certificate.prover.measurement import prove_measurement
@@ -40,12 +39,13 @@ from necc_casadi.certificate.prover.sampled.disturbed import prove_disturbed
 from necc_casadi.certificate.prover.sampled.prove import prove_sampled
 from necc_casadi.certificate.prover.setpoints import prove_setpoints
 from necc_casadi.certificate.prover.solutions import what_follows
+from necc_casadi.certificate.prover.units import units_of
 from necc_casadi.certificate.prover.vanishing_damping import prove_slow_attraction
 from necc_casadi.designs.design import Design
 from necc_casadi.model.lagrangian import Plants
 from necc_casadi.model.ranges import Range
 
-__all__ = ["certify", "units_of", "with_sampled_loop"]
+__all__ = ["certify", "with_sampled_loop"]
 
 
 Report = Callable[[str, float], None]
@@ -166,7 +166,9 @@ def with_sampled_loop(
     found = prove_sampled(design, certificate, sample_time, integrator)
     if isinstance(found, SampledRegion):
         limits = design.loop.plant.u_limits or ()
-        text = statements.sampled(found, design.loop.states, units_of(design), limits)
+        text = statements.sampled(
+            found, design.loop.states, units_of(design), limits, design.scales_damping
+        )
         claim = Claim("sampled", True, text, found.data)
         near = _disturbed(design, found, sample_time, disturbances)
         return certificate.having(claim, near)
@@ -181,7 +183,9 @@ def _disturbed(
     if not isinstance(found, DisturbedRegion):
         return Claim("disturbed", False, statements.disturbed_is_not_covered(found))
     names, units = (design.loop.states, design.loop.plant.input_names), units_of(design)
-    text = statements.disturbed(found, *names, units, list(map(float, design.units.input)))
+    inputs = list(map(float, design.units.input))
+    velocities = design.measurement.of_velocities
+    text = statements.disturbed(found, *names, units, inputs, velocities)
     return Claim("disturbed", True, text, found.data)
 
 
@@ -263,12 +267,6 @@ def _region(reduced: Potential, minimum: Interval, whole: bool) -> RegionProof |
     return None if plant.u_limits is None else prove_region_within_limits(reduced, minimum)
 
 
-def units_of(design: Design) -> Units:
-    """The natural units of a design."""
-    units = design.units
-    return Units(tuple(map(float, units.state)), float(units.energy), float(units.time))
-
-
 def _obstacle(design: Design, proof: RegionProof) -> Obstacle:
     found, states = proof.obstacle, design.loop.states
     still = np.where(np.abs(found.z) < _NOTHING, 0.0, found.z)
@@ -319,14 +317,14 @@ def _limits_claim(design: Design, proof: RegionProof | None) -> Claim:
 
 def _clipping_claim(design: Design, proof: RegionProof | None) -> Claim:
     limits, energy = design.loop.plant.u_limits or (), design.units.energy
+    scaled = design.scales_damping
     if holds_everywhere(design):
-        return Claim("clipping", True, statements.CLIPPED_EVERYWHERE, {"everywhere": True})
-    if not clipping_is_covered(design):
-        return Claim("clipping", False, statements.CLIPPING_IS_NOT_COVERED)
+        text = statements.clipped_everywhere(scaled)
+        return Claim("clipping", True, text, {"everywhere": True})
     if proof is None or proof.level_clipped is None:
         return Claim("clipping", False, statements.no_clipping(limits))
     height, whole = energy * proof.height(proof.level_clipped), proof.level_clipped == proof.level
-    text = statements.clipping(limits, height, whole)
+    text = statements.clipping(limits, height, whole, scaled)
     return Claim("clipping", True, text, {"level_above_minimum": height})
 
 

@@ -18,6 +18,7 @@ from necc_casadi.certificate.claims.fields import Fields
 from necc_casadi.certificate.claims.sampled import BEYOND, SampledRegion, packed_tree
 from necc_casadi.export.sampled_loop import SampledLoop
 from necc_casadi.report.design_rows import sampled_text
+from necc_casadi.report.values import TIE
 
 NAMES = (("q", "p", "xi1"), ("u",))
 
@@ -46,14 +47,43 @@ def test_the_claim_is_proved_again(sampled_folder):
         assert words in claim.statement
 
 
-def test_what_is_left_near_the_minimum_is_proved_again(sampled_folder):
-    """All but the boxes, which take longest."""
-    _, stored, design = read_folder(sampled_folder)
+@pytest.mark.slow
+def test_the_claim_is_proved_again_where_velocities_are_measured(velocity_folder):
+    results = {result.name: result for result in check(velocity_folder)}
+    assert all(result.holds for result in results.values())
+    for words in (
+        "q within ±1e-05, q_dot within ±0.0001",
+        "of z̄, states of the model: p_q = M(q)q̇ of the plant, without noise",
+    ):
+        assert words in results["disturbed"].statement
+
+
+@pytest.mark.slow
+def test_noise_of_velocities_and_momenta_of_another_plant_are_refused(velocity_folder):
+    """More noise of q̇ than is proved, momenta nearer than is proved, and M twice as large."""
+    _, stored, design = read_folder(velocity_folder)
+    found = DisturbedRegion.read(Evidence(StoredDesign(design), stored).claims["disturbed"].data)
+    assert forged(velocity_folder).holds
+    noise, radius = list(found.noise), list(found.radius)
+    assert not forged(velocity_folder, noise=[noise[0], 1.5 * noise[1]]).holds
+    assert not forged(velocity_folder, radius=[radius[0], 0.9 * radius[1], radius[2]]).holds
+    design["model"]["inertia"] = [[f"2*({design['model']['inertia'][0][0]})"]]
+    proof = proof_of(stored, design)
+    assert not dict(proof.obligations())["q̇ of the plant at p = M(q)q̇"]()
+
+
+def proof_of(stored, design):
+    """What is to be proved of what is claimed."""
     evidence = Evidence(StoredDesign(design), stored)
     claims = {name: claim.data for name, claim in evidence.claims.items()}
     region = SampledRegion.read(claims["sampled"])
-    proof = _Disturbed(evidence, region, DisturbedRegion.read(claims["disturbed"]))
-    *others, _, boxes = proof.obligations()
+    return _Disturbed(evidence, region, DisturbedRegion.read(claims["disturbed"]))
+
+
+def test_what_is_left_near_the_minimum_is_proved_again(sampled_folder):
+    """All but the boxes, which take longest."""
+    _, stored, design = read_folder(sampled_folder)
+    *others, _, boxes = proof_of(stored, design).obligations()
     assert all(proved() for _, proved in others)
     assert "on every box" in boxes[0]
 
@@ -146,8 +176,8 @@ def test_it_does_not_hold_without_the_claim_that_it_rests_on(sampled_folder, tmp
 
 
 @pytest.mark.parametrize("share", [1.04, 1.0, 0.96])
-def test_the_summary_says_no_more_than_is_proved(sampled_folder, found, share):
-    """Radii are not rounded down, nor the longest period up."""
+def test_the_summary_says_no_more_than_is_proved(sampled_folder, default_design, share):
+    """Radii, each with its state and unit, are not rounded down, nor the longest period up."""
     certificate = Certificate.from_json((sampled_folder / "certificate.json").read_text("utf-8"))
     radius, period = (0.0841 * share, 0.0129 * share, 1.0), 0.012347 * share
     claims = [
@@ -158,9 +188,13 @@ def test_the_summary_says_no_more_than_is_proved(sampled_folder, found, share):
         else c
         for c in certificate.claims
     ]
-    text = sampled_text(SampledLoop(0.01, 0.9, None, None), replace(certificate, claims=claims))
-    (shown,) = re.findall(r"within \((.*?)\) of", text)
-    assert all(float(v) >= r for v, r in zip(shown.split(","), radius, strict=True))
+    certificate = replace(certificate, claims=claims)
+    text = sampled_text(default_design, SampledLoop(0.01, 0.9, None, None), certificate)
+    (shown,) = re.findall(r"within (.*?) of z̄", text.replace(TIE, " "))
+    states = [re.fullmatch(r"(\w+) ± ([\d.]+) ?(.*)", part).groups() for part in shown.split(", ")]
+    assert [name for name, _, _ in states] == ["q", "p", "xi1"]
+    assert [unit for _, _, unit in states] == ["rad", "kg m²/s", ""]
+    assert all(float(v) >= r for (_, v, _), r in zip(states, radius, strict=True))
     longest = [float(v) for v in re.findall(r"(?:up to|to) (0\.0\d+) s", text)]
     assert len(longest) == 2
     assert max(longest) <= period

@@ -7,19 +7,23 @@ import pytest
 import sympy as sp
 from helpers.export_cases import design as drawn
 from helpers.export_cases import pendulum_loop
-from helpers.sampled import held_input, plant_after
+from helpers.sampled import plant_after
+from helpers.velocity import crank
 
 from necc_casadi.certificate.claims.certificate import Certificate
 from necc_casadi.certificate.claims.disturbed import Disturbances
 from necc_casadi.certificate.claims.rounding import Program
+from necc_casadi.certificate.claims.sampled import SampledRegion
 from necc_casadi.certificate.prover.arithmetic.intervals import Interval
 from necc_casadi.certificate.prover.arithmetic.potential import Potential
 from necc_casadi.certificate.prover.certify import certify, with_sampled_loop
 from necc_casadi.certificate.prover.sampled import prove
 from necc_casadi.certificate.prover.sampled.disturbance import Computed, Disturbed
 from necc_casadi.certificate.prover.sampled.disturbed import prove_disturbed
+from necc_casadi.certificate.prover.sampled.measured import Measured
 from necc_casadi.certificate.prover.sampled.rounding import Rounding, programs
 from necc_casadi.certificate.prover.sampled.step import Step
+from necc_casadi.designs.design import Design
 from necc_casadi.export.compiled import Running, compile_controller
 from necc_casadi.lyapunov.networks import Network
 from necc_casadi.lyapunov.parameterization import Form
@@ -39,18 +43,18 @@ def disturbed(design, Q, period, alpha=None):
     frame = np.linalg.inv(np.linalg.cholesky(S))
     reach = np.full(1, 0.0 if alpha is None else 0.3)
     return Disturbed(
-        Step(Potential(design), "heun"), Q, frame, NOISE, ERROR, 2.0**-53, period / 100, period,
-        alpha, reach,
+        Step(Potential(design), "heun"), Measured(design), Q, frame, NOISE, ERROR, 2.0**-53,
+        period / 100, period, alpha, reach,
     )  # fmt: skip
 
 
 def after(design, z, s, noise, error, e=0.0):
-    """z⁺ of a step with x measured with noise and u off by an error, and by e."""
-    n = design.loop.plant.n
-    x, xi = z[:, :n] + noise, z[:, n:]
-    u, first = held_input(design, np.hstack([x, xi]))
+    """z⁺ of a step with x, or (q, q̇), measured with noise and u off by an error, and by e."""
+    n, law = design.loop.plant.n, design.lyapunov
+    y, xi = law.measured(z[:, :n]) + noise, z[:, n:]
+    u, first = design.control(y, xi)
     predicted = xi + s[:, None] * first
-    second = held_input(design, np.hstack([x, predicted]))[1]
+    second = design.control(y, predicted)[1]
     moved = xi + s[:, None] / 2 * (first + second)
     return np.hstack([plant_after(design, z[:, :n], u + error + e, s), moved])
 
@@ -63,10 +67,14 @@ def computed(loop, design, z):
     return Computed(Interval(z.min(0) - 9, z.max(0) + 9), np.full(1, 1e-12), np.full(1, 1e-12))
 
 
+@pytest.mark.parametrize("fed", ["states", "velocities"])
 @pytest.mark.parametrize("period", [0.01, 0.05])
-def test_w_falls_where_the_slope_is_beyond_delta_and_rises_little_elsewhere(default_design, period):
+def test_w_falls_where_the_slope_is_beyond_delta_and_rises_little_elsewhere(
+    default_design, period, fed
+):
     """By simulation of the plant and of the law, errors at their bounds in all corners."""
     design, rng = default_design.natural, np.random.default_rng(0)
+    design = crank() if fed == "velocities" else design
     loop = disturbed(design, Q, period)
     z = design.z_bar + rng.uniform(-1, 1, (400, 3)) * 10.0 ** rng.uniform(-3, 0, (400, 1))
     s = rng.uniform(0.02, 1.0, 400) * period
@@ -86,9 +94,11 @@ def test_w_falls_where_the_slope_is_beyond_delta_and_rises_little_elsewhere(defa
     assert (worst > 0).any()  # errors of this size do make W rise
 
 
-def test_with_a_delay_s_falls(default_design):
+@pytest.mark.parametrize("fed", ["states", "velocities"])
+def test_with_a_delay_s_falls(default_design, fed):
     """S = W + αT|e|², e the change of u within a sample, for any e within reach."""
     design, rng, period, alpha = default_design.natural, np.random.default_rng(1), 0.03, 8.0
+    design = crank() if fed == "velocities" else design
     loop = disturbed(design, Q, period, alpha)
     z = design.z_bar + rng.uniform(-1, 1, (400, 3)) * 10.0 ** rng.uniform(-2, 0, (400, 1))
     s, e = rng.uniform(0.02, 1.0, 400) * period, rng.uniform(-0.3, 0.3, (400, 1))
@@ -108,7 +118,7 @@ def test_with_a_delay_s_falls(default_design):
 
     for sign in (-1.0, 1.0):
         end = after(design, z, s, NOISE * sign, ERROR * sign, e)
-        fresh, later = held_input(design, z)[0], held_input(design, end)[0]
+        fresh, later = (design.lyapunov.control_law(v[:, :2], v[:, 2:])[0] for v in (z, end))
         change = S(end, fresh - later) - S(z, e)
         assert (change[beyond] < 0).all()
         assert (change[falls.proved] <= falls.rise[falls.proved]).all()
@@ -156,27 +166,43 @@ def certified(default_design) -> Certificate:
         return with_sampled_loop(default_design, certify(default_design), 0.05, "heun")
 
 
+@pytest.fixture(scope="module")
+def fed_with_velocities() -> tuple[Design, SampledRegion]:
+    """A plant whose inertia moves, and a part of its space."""
+    design = crank()
+    part = replace(certify(design), level_above_minimum=0.3)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(prove, "_TRIALS", 0)
+        return design, prove.prove_sampled(design, part, 0.05, "heun")
+
+
 @pytest.mark.slow
+@pytest.mark.parametrize("fed", ["states", "velocities"])
 @pytest.mark.parametrize("delayed", [False, True])
-def test_the_compiled_code_stays_where_it_is_proved_to(default_design, certified, delayed):
+def test_the_compiled_code_stays_where_it_is_proved_to(
+    default_design, certified, fed_with_velocities, delayed, fed
+):
     """Starts anywhere in the region, periods at random, noise at its bounds; in float."""
-    region, n = certified.sampled, 2
-    noise = {"q": 1e-4, "p": 2e-4}
+    design, region, n = default_design, certified.sampled, 2
+    if fed == "velocities":
+        design, region = fed_with_velocities
+    noise = dict(zip(design.measurement.names, [1e-4, 2e-4], strict=True))
     asked = Disturbances("float", noise, {"u": 1e-4}, delayed=delayed)
-    found = prove_disturbed(default_design, region, 0.05, asked)
-    natural, box = default_design.natural, np.array(region.box)
+    found = prove_disturbed(design, region, 0.05, asked)
+    natural, box = design.natural, np.array(region.box)
     assert max(found.radius) < 0.01
     rng, metric = np.random.default_rng(0), np.array(region.metric)
     bottom = float(natural.lyapunov.V(natural.z_bar))
     z = rng.uniform(*box.T, (4000, 3)).astype(np.float32).astype(float)
     z = z[W(natural, metric, z) - bottom < found.height][:60]
-    code = compile_controller(default_design, real="float")
+    code = compile_controller(design, real="float")
     runs = [Running(code, code._state(v[n:])) for v in z]
     x, s, late = z[:, :n], np.zeros(len(z)), None
     for k in range(900):
         errors = np.array(list(noise.values())) * rng.choice([-1.0, 1.0], x.shape)
         errors[::2] = np.array(list(noise.values()))  # one corner for ever
-        steps = [run.step(v, dt) for run, v, dt in zip(runs, x + errors, s, strict=True)]
+        y = design.lyapunov.measured(x) + errors
+        steps = [run.step(v, dt) for run, v, dt in zip(runs, y, s, strict=True)]
         assert not any(flags for _, flags in steps)
         u = np.array([u for u, _ in steps])
         here = np.hstack([x, [run.xi for run in runs]])
@@ -216,9 +242,9 @@ def test_laws_that_are_not_covered_are_refused_in_words():
 
 def test_what_is_measured_or_told_otherwise_is_refused_by_its_name(default_design):
     loop = default_design.loop
-    plant = replace(loop.plant, inertia=sp.ImmutableMatrix([[1]]))
+    plant = replace(loop.plant, inertia=sp.ImmutableMatrix([[2]]))  # its p is q̇ times 1
     fed = replace(default_design, loop=replace(loop, plant=plant))
-    assert "velocities are measured" in prove_disturbed(fed, None, 0.01, Disturbances())
+    assert "p = M(q)q̇ is not proved" in prove_disturbed(fed, None, 0.01, Disturbances())
     moving = replace(default_design, setpoints={"q": (-1, 1)})
     assert "at run time" in prove_disturbed(moving, None, 0.01, Disturbances())
 

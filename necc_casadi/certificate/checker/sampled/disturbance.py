@@ -15,6 +15,7 @@ from flint import arb, arb_mat
 from necc_casadi.certificate.checker.arithmetic.balls import Box, ball, ends
 from necc_casadi.certificate.checker.arithmetic.tapes import Tape
 from necc_casadi.certificate.checker.sampled.linear import Linear, falls
+from necc_casadi.certificate.checker.sampled.measured import MeasuredProof, TakenBox
 from necc_casadi.certificate.checker.sampled.rounding import units
 from necc_casadi.certificate.checker.sampled.step import SampleProof, StepProof
 from necc_casadi.certificate.claims.disturbed import DisturbedRegion
@@ -50,7 +51,7 @@ class DisturbedStep:
     def __init__(self, step: StepProof, Q: arb_mat, found: DisturbedRegion) -> None:
         self.step, self.Q, self.found = step, Q, found
         self.model = model = step.model
-        self.unit = units(found.precision)[0]
+        self.unit, self.measured = units(found.precision)[0], MeasuredProof(model)
         self.frame = arb_mat([list(row) for row in found.frame])
         self.back = self.frame.inv()
         z, n, m = model.z, model.n, model.m
@@ -69,21 +70,16 @@ class DisturbedStep:
             most = arb(found.height) * arb("1.000002") / (arb(found.delay) * arb(found.period))
             self.reach = most.sqrt().upper()
 
-    def blurred(self, box: Box) -> list[arb]:
-        """How far the code's (x, ξ) is from (x, ξ)."""
-        noise = [*map(arb, self.found.noise), *[arb(0)] * self.model.nc]
-        return [
-            (r + (2 * self.unit * (ball(*side).abs_upper() + r))).upper()
-            for r, side in zip(noise, box, strict=True)
-        ]
-
     def seen(self, box: Box) -> Box:
         """A box that holds all arguments of the law in samples from a box, which is checked."""
-        blur = self.blurred(box)
         return tuple(
-            ends(ball(lo, hi) + _UNIT * (e + (arb(hi) - arb(lo)) / 4))
-            for (lo, hi), e in zip(box, blur, strict=True)
+            ends(ball(*side) + _UNIT * ((arb(hi) - arb(lo)) / 4))
+            for side, (lo, hi) in zip(self._taken(box).states, box, strict=True)
         )
+
+    def _taken(self, box: Box) -> TakenBox:
+        """What the code takes for (x, ξ) of a box."""
+        return self.measured.taken(box, self.found.noise, self.unit)
 
     def earlier(self, box: Box, inputs: Sequence[arb], pieces: int) -> list[arb]:
         """How far a u that is computed anywhere in a box is off, given its rounding."""
@@ -94,16 +90,10 @@ class DisturbedStep:
         ]
         worst = [arb(0)] * self.model.m
         for piece in product(*sides):
-            off = self._off(piece)[1]
+            taken = self._taken(piece)
+            off = taken.moved(self.slopes(taken.states), taken.errors)
             worst = [w.max(v) for w, v in zip(worst, off, strict=False)]
         return [(w + e).upper() for w, e in zip(worst, inputs, strict=True)]
-
-    def _off(self, box: Box) -> tuple[Box, list[arb]]:
-        """What the code may take for (x, ξ) of a box, and how far (u, ξ̇) are off by that."""
-        blur = self.blurred(box)
-        seen = tuple(ends(ball(*side) + _UNIT * e) for side, e in zip(box, blur, strict=True))
-        moved = arb_mat(self.slopes(seen)) * _column(blur)
-        return seen, [v.abs_upper() for (v,) in moved.tolist()]
 
     def over(
         self,
@@ -200,7 +190,9 @@ class DisturbedStep:
     ) -> tuple[list[arb], list[arb]] | None:
         """Errors of the computed u and of ξ⁺ − ξ for each unit of time; None: not known."""
         m, n, u = self.model.m, self.model.n, self.unit
-        blur, (seen, first) = self.blurred(box), self._off(box)
+        taken = self._taken(box)
+        seen, blur = taken.states, taken.errors
+        first = taken.moved(self.slopes(seen), blur)
         own = [(v + e).upper() for v, e in zip(first[:m], rounding.inputs, strict=True)]
         rate_off = [v + e for v, e in zip(first[m:], rounding.rates, strict=True)]
         rates, xi = self._rates(seen), [ball(*side).abs_upper() for side in box[n:]]
@@ -215,10 +207,9 @@ class DisturbedStep:
                 for side, r, a, was in zip(box[n:], rates, away, seen[n:], strict=True)
             ]
             held = (*seen[:n], *there)
-            second = arb_mat(self.slopes(held)) * _column([*blur[:n], *away])
+            second = taken.moved(self.slopes(held), [*blur[:n], *away])[m:]
             off = [
-                (a + v + e) / 2
-                for a, (v,), e in zip(rate_off, second.tolist()[m:], rounding.rates, strict=True)
+                (a + v + e) / 2 for a, v, e in zip(rate_off, second, rounding.rates, strict=True)
             ]
             sizes = [a.max(v.abs_upper()) for a, v in zip(sizes, self._rates(held), strict=True)]
         found = [

@@ -13,6 +13,7 @@ from flint import arb, arb_mat
 from necc_casadi.certificate.checker.arithmetic.balls import Box, by_bisection
 from necc_casadi.certificate.checker.arithmetic.definite import middle_of, positive
 from necc_casadi.certificate.checker.evidence import Checked, Evidence, Obligation
+from necc_casadi.certificate.checker.measurement import gives_momenta
 from necc_casadi.certificate.checker.sampled.disturbance import Computed, DisturbedStep, Falls
 from necc_casadi.certificate.checker.sampled.rounding import RoundingProof
 from necc_casadi.certificate.checker.sampled.sampled import HALVINGS, SampledProof
@@ -48,7 +49,9 @@ def check_disturbed(evidence: Evidence, sampled: bool) -> Checked:
         raise ValueError("what is claimed of disturbances does not fit the states")
     if not found.leaves(region):
         raise ValueError("the sampled region has no boxes")
-    text = statements.disturbed(found, model.states, model.inputs, model.units, model.input_units)
+    text = statements.disturbed(
+        found, model.states, model.inputs, model.units, model.input_units, model.inertia is not None
+    )
     claim: Obligation = ("the claim about the sampled loop", lambda: sampled)
     if not sampled:
         return Checked.by("disturbed", text, [claim])
@@ -64,7 +67,9 @@ class _Disturbed:
         self.energy = evidence.full
         step = StepProof(self.model, self.energy, region.integrator)
         self.step = DisturbedStep(step, arb_mat([list(row) for row in region.metric]), found)
-        self.rounding = RoundingProof(step, found.precision, found.casimirs, found.law)
+        self.rounding = RoundingProof(
+            step, self.step.measured, found.precision, found.casimirs, found.law
+        )
         self.z_bar = evidence.z_bar(range(len(self.model.z)))
         self.columns = [
             sum((v * v for (v,) in _column(self.step.frame, i)), arb(0)).sqrt()
@@ -75,7 +80,8 @@ class _Disturbed:
         """Each in words, with its proof."""
         return [
             ("numbers that are meant", self._is_meant),
-            ("a law of states that are measured, with one network of Casimirs", self._is_covered),
+            ("a law of what is measured alone, with one network of Casimirs", self._is_covered),
+            ("q̇ of the plant at p = M(q)q̇", self._is_measured),
             ("the operations are those of the law", self._is_of_this_law),
             ("the height above V(z̄)", self._is_above),
             ("what is left near z̄", self._comes_near),
@@ -101,8 +107,11 @@ class _Disturbed:
 
     def _is_covered(self) -> bool:
         model = self.model
-        plain = model.inertia is None and not model.setpoints and not model.told_ranges
+        plain = not model.setpoints and not model.told_ranges
         return plain and not model.form["betas"] and model.form["phi"] is None
+
+    def _is_measured(self) -> bool:
+        return self.model.inertia is None or gives_momenta(self.model)
 
     def _is_of_this_law(self) -> bool:
         return self.rounding.is_of_this_law(self.region.box)

@@ -17,6 +17,7 @@ from flint import arb, arb_mat
 from necc_casadi.certificate.checker.arithmetic.balls import Box, ball, ends
 from necc_casadi.certificate.checker.arithmetic.potential import Energy
 from necc_casadi.certificate.checker.model import StoredDesign
+from necc_casadi.certificate.checker.sampled.measured import MeasuredProof
 from necc_casadi.certificate.checker.sampled.step import StepProof
 from necc_casadi.certificate.claims.rounding import (
     ACTIVATIONS,
@@ -190,6 +191,7 @@ class RoundingProof:
     """The rounding of the code of a stored design; natural units outside."""
 
     step: StepProof
+    measured: MeasuredProof
     number: Number
     casimirs: Program
     law: Program
@@ -220,7 +222,7 @@ class RoundingProof:
         for _ in range(_TRIED):
             z = [rng.uniform(lo, hi) for lo, hi in box]
             place: Box = tuple((v, v) for v in z)
-            seen = [arb(v) * arb(s) for v, s in zip(z, model.units.state, strict=False)]
+            seen = [v * arb(s) for v, s in self._measured_at(place)]
             c = rounded(self.casimirs, seen, [arb(0)] * size, None)
             own = zip(self.energy.casimirs(place)[0], model.casimir_units, strict=True)
             hc, k = self._slopes(place)
@@ -254,12 +256,16 @@ class RoundingProof:
             [v * E / arb(s) for v, s in zip(k, model.casimir_units, strict=True)],
         )
 
+    def _measured_at(self, box: Box) -> list[tuple[arb, float]]:
+        """(y, ξ) of a box of what is taken for (x, ξ), and what 1 is of each."""
+        return list(zip(self.measured.over(box), self.measured.units, strict=True))
+
     def over(self, box: Box) -> tuple[list[arb], list[arb]]:
-        """Bounds of |computed − exact| of u and of ξ̇ over a box of what is taken."""
+        """Bounds of |computed − exact| of u and of ξ̇ over a box of what is taken for (x, ξ)."""
         model = self.model
         n, m, E = model.n, model.m, arb(model.units.energy)
         state = model.units.state[: len(model.z)]
-        seen = [ball(*side) * arb(s) for side, s in zip(box, state, strict=True)]
+        seen = [v * arb(s) for v, s in self._measured_at(box)]
         c = rounded(self.casimirs, seen, [arb(0)] * len(seen), self.number)
         hc = _Layers(model.form["hc"], model.stated_weights)
         k = _Layers(model.form["k"], model.stated_weights[hc.used :])

@@ -24,6 +24,7 @@ from necc_casadi.certificate.prover.arithmetic.affine import Affine, negative_de
 from necc_casadi.certificate.prover.arithmetic.boxes import matrix_enclosure, subdivide
 from necc_casadi.certificate.prover.arithmetic.intervals import Interval, matmul, point
 from necc_casadi.certificate.prover.arithmetic.potential import over_pieces
+from necc_casadi.certificate.prover.sampled.measured import Measured, Taken
 from necc_casadi.certificate.prover.sampled.step import Push, Sample, Step
 
 __all__ = ["Computed", "Disturbed", "Falls"]
@@ -61,9 +62,10 @@ class Disturbed:
     """The sampled loop of a design under errors that are bounded; natural units."""
 
     step: Step
+    measured: Measured
     Q: Vector
     frame: Vector  # C
-    noise: Vector  # of x, (n,)
+    noise: Vector  # of y, (n,)
     input_error: Vector  # (m,)
     unit: float  # half the spacing of the numbers next to 1
     shortest: float
@@ -78,15 +80,14 @@ class Disturbed:
 
     def seen(self, Z: Interval) -> Interval:
         """A box (N,) that holds all arguments of the law in samples from a box (N,)."""
-        more = _BESIDE * (Z.hi - Z.lo) + self._blurred(Z)
-        return Interval(Z.lo - more, Z.hi + more)
+        taken, more = self._taken(Z[None]).states[0], _BESIDE * (Z.hi - Z.lo)
+        return Interval(taken.lo - more, taken.hi + more)
 
     def earlier(self, box: Interval, rounding: Computed, pieces: int) -> Vector:
         """How far a u that is computed anywhere in a box (N,) is off at most, (m,)."""
         Z = subdivide(box, max(1, int(pieces ** (1 / len(box.lo)))))
-        blur = self._blurred(Z)
-        slopes = self._slopes(Interval(Z.lo - blur, Z.hi + blur))
-        off = (slopes.magnitude @ blur[..., None])[:, : self._m, 0].max(0)
+        taken = self._taken(Z)
+        off = taken.moved(self._slopes(taken.states), taken.errors)[:, : self._m].max(0)
         return np.asarray((off + rounding.inputs) * _SECOND, float)
 
     def _over(self, Z: Interval, s: Interval, rate: float, rounding: Computed) -> Falls:
@@ -196,9 +197,9 @@ class Disturbed:
     def _pushed(self, Z: Interval, s: Interval, rounding: Computed) -> tuple[Vector, Push, Truth]:
         """Errors of the computed u, of the applied u and of ξ⁺; whether they hold, (B,)."""
         m, n, u = self._m, self._n, self.unit
-        blur = self._blurred(Z)
-        seen = Interval(Z.lo - blur, Z.hi + blur)
-        first = (self._slopes(seen).magnitude @ blur[..., None])[..., 0]
+        taken = self._taken(Z)
+        seen, blur = taken.states, taken.errors
+        first = taken.moved(self._slopes(seen), blur)
         own = first[:, :m] + rounding.inputs
         rate_off = first[:, m:] + rounding.rates
         rates = self._rates(seen)
@@ -214,7 +215,7 @@ class Disturbed:
                 np.concatenate([seen.hi[:, :n], np.maximum(seen.hi[:, n:], there.hi)], 1),
             )
             blurred = np.concatenate([blur[:, :n], away], 1)
-            second = (self._slopes(held).magnitude @ blurred[..., None])[..., 0][:, m:]
+            second = taken.moved(self._slopes(held), blurred)[:, m:]
             off = 0.5 * (rate_off + second + rounding.rates)
             size = np.maximum(size, self._rates(held).magnitude)
         floor = 2 * u**2 * (Z[:, n:].magnitude + last * size) / self.shortest
@@ -225,12 +226,9 @@ class Disturbed:
         applied = own if rounding.earlier is None else np.broadcast_to(rounding.earlier, own.shape)
         return own * _SECOND, Push((applied + self.input_error) * _SECOND, rates_off), near
 
-    def _blurred(self, Z: Interval) -> Vector:
-        """How far the code's (x, ξ) is from (x, ξ): noise, and rounding to a number of its type."""
-        noise = np.concatenate([self.noise, np.zeros(len(self.Q) - self._n)])
-        size = Z.magnitude + noise
-        blur: Vector = (noise + 2 * self.unit * size) * _SECOND + np.finfo(float).tiny
-        return blur
+    def _taken(self, Z: Interval) -> Taken:
+        """What the code takes for (x, ξ) of boxes (B, N)."""
+        return self.measured.taken(Z, self.noise, self.unit)
 
     def _slopes(self, Z: Interval) -> Interval:
         """Derivatives of (u, ξ̇) in (x, ξ), (B, m + nc, N)."""

@@ -19,8 +19,10 @@ from necc_casadi.certificate.prover.arithmetic.definite import positive_definite
 from necc_casadi.certificate.prover.arithmetic.intervals import Interval, matmul, point
 from necc_casadi.certificate.prover.arithmetic.potential import Potential
 from necc_casadi.certificate.prover.arithmetic.tables import TabledPotential
+from necc_casadi.certificate.prover.measurement import prove_measurement
 from necc_casadi.certificate.prover.sampled.cover import Shown, cover, where_above, within
 from necc_casadi.certificate.prover.sampled.disturbance import Computed, Disturbed, Falls
+from necc_casadi.certificate.prover.sampled.measured import Measured
 from necc_casadi.certificate.prover.sampled.metric import Guide
 from necc_casadi.certificate.prover.sampled.prove import rates_of_change
 from necc_casadi.certificate.prover.sampled.rounding import Rounding, programs, unit
@@ -59,8 +61,9 @@ def prove_disturbed(
     design: Design, region: SampledRegion, sample_time: float, asked: Disturbances
 ) -> DisturbedRegion | NotDisturbed:
     """Where solutions from a part of Ω_T come to and stay for periods up to one, s."""
-    if design.measurement.of_velocities:
-        return "velocities are measured, and only measured states of the model are covered"
+    measured = prove_measurement(design)
+    if measured is not None and not measured.holds:
+        return "velocities are measured, and p = M(q)q̇ is not proved"
     if design.setpoints or design.told:
         return "set-points or parameters at run time are not covered"
     if design.form.betas:
@@ -263,7 +266,8 @@ class _Proof:
         over, Z = self._potential, Interval(box.lo[None], box.hi[None])
         S = (over.sharp_jet(Z) if over.has_sharp_jet else over.jet(Z)).hess
         turned = matmul(matmul(point(C[None]), S), point(C.T[None])) - np.eye(len(C))
-        near = float(np.sqrt((turned.magnitude**2).sum())) * (1 + _EASED)
+        near = float(np.sqrt((turned.magnitude**2).sum()))
+        near *= 1 + near + _EASED  # other arithmetic is off in the second order of a box's width
         back = np.linalg.inv(C)
         metric = back.T @ np.array(self.region.metric) @ back
         values = np.linalg.eigvalsh((metric + metric.T) / 2)
@@ -277,7 +281,8 @@ class _Proof:
     def _computed(self, loop: Disturbed, box: Interval, pieces: int = 1) -> Computed:
         """On a box, a u that is late computed on it, too."""
         seen = loop.seen(box)
-        found = Computed(seen, *self.rounding.over(seen))
+        measured = loop.measured.over(seen[None])[0]
+        found = Computed(seen, *self.rounding.over(measured))
         late = None if loop.delay is None else loop.earlier(box, found, pieces)
         return replace(found, earlier=late)
 
@@ -295,13 +300,13 @@ class _Proof:
     def _loop(self) -> Disturbed | None:
         """The disturbed loop, with the α that lets S fall fastest; None: none is found."""
         design, asked, plant = self.design, self.asked, self.design.loop.plant
-        m = plant.m
+        m, measured = plant.m, Measured(design)
         plain = Disturbed(
             Step(self._potential, self.region.integrator),
+            measured,
             np.array(self.region.metric),
             self._frame,
-            _named(asked.noise, design.loop.plant.states)
-            / design.units.state[: -design.loop.controller.nc],
+            _named(asked.noise, design.measurement.names) / measured.units[: plant.n],
             _named(asked.input_error, plant.input_names) / design.units.input,
             unit(asked.precision)[0],
             self._shortest,

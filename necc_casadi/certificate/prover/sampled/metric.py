@@ -155,6 +155,10 @@ class Guide:
 
     def box_around(self, height: float) -> Interval | None:
         """A box (N,) around {W − V(z̄) ≤ height} near z̄; None where it goes too far."""
+        with np.errstate(all="ignore"):
+            return self._box_around(height)
+
+    def _box_around(self, height: float) -> Interval | None:
         z_bar, rays = self.design.z_bar, self._rays
         above = self.W(z_bar + _PLACES[:, None, None] * rays) > height
         if not above.any(0).all():

@@ -30,6 +30,7 @@ from necc_casadi.certificate.prover.arithmetic.boxes import hull, subdivide
 from necc_casadi.certificate.prover.arithmetic.intervals import Interval, point
 from necc_casadi.certificate.prover.arithmetic.jets import Jet
 from necc_casadi.certificate.prover.arithmetic.networks import network_jet
+from necc_casadi.certificate.prover.sampled.measured import Measured
 from necc_casadi.designs.design import Design
 from necc_casadi.designs.law import law_of
 from necc_casadi.lyapunov.networks import Network
@@ -59,7 +60,7 @@ def unit(number: Number) -> tuple[float, float]:
 
 
 def programs(design: Design) -> tuple[Program, Program] | None:
-    """(x, ξ) -> c and (x, ξ, ∇Hc, ∇K) -> (u, ξ̇) of the C code; None: one is not covered."""
+    """(y, ξ) -> c and (y, ξ, ∇Hc, ∇K) -> (u, ξ̇) of the C code; None: one is not covered."""
     law = law_of(design)
     seen = [law.x, law.s]
     first = _program(seen, law.casimirs)
@@ -239,11 +240,12 @@ class Rounding:
     casimirs: Program
     law: Program
 
-    def over(self, Z: Interval) -> tuple[Vector, Vector]:
-        """Bounds of |computed − exact| of u (m,) and ξ̇ (nc,) over a box (N,) of what is taken."""
+    def over(self, Y: Interval) -> tuple[Vector, Vector]:
+        """Bounds of |computed − exact| of u (m,) and ξ̇ (nc,) over a box (N,) of (y, ξ)."""
         design, units = self.design, self.design.units
         n, m = design.loop.plant.n, design.loop.plant.m
-        lo, hi = Z.lo * units.state, Z.hi * units.state
+        size = Measured(design).units
+        lo, hi = Y.lo * size, Y.hi * size
         seen, exact = list(zip(lo, hi, strict=True)), [0.0] * len(lo)
         c, c_off = rounded(self.casimirs, seen, exact, self.number)
         form = design.form
