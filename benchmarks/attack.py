@@ -46,8 +46,15 @@ static void measured(const double *x, double *y) {
 static void field(const double *z, double *slope) {
     double u[NECC_NU], y[NECC_NX];
     measured(z, y);
+#ifdef LIMITED /* as the code keeps the limits of u */
+    necc_state s;
+    necc_init(&s);
+    memcpy(s.xi, z + NECC_NX, sizeof s.xi);
+    necc_output(&s, y, u);
+    memcpy(slope + NECC_NX, s.xidot, sizeof s.xidot);
+#else
     necc_control(y, z + NECC_NX, u, slope + NECC_NX);
-@clip@
+#endif
     plant(z, u, slope);
 }
 void follow(int count, double *z, long steps, double dt, int kept, double *out) {
@@ -70,7 +77,7 @@ void follow(int count, double *z, long steps, double dt, int kept, double *out) 
 """
 
 
-def compiled(model: Model, made: Design, folder: Path, clipped: bool) -> ctypes.CDLL:
+def compiled(model: Model, made: Design, folder: Path, limited: bool) -> ctypes.CDLL:
     """The closed loop as a shared library."""
     plant = model.system
     u = sp.symbols(f"u:{plant.m}", real=True)
@@ -82,20 +89,25 @@ def compiled(model: Model, made: Design, folder: Path, clipped: bool) -> ctypes.
     if made.measurement.of_velocities:
         seen[len(seen) // 2 :] = plant.drift[: len(seen) // 2]
     shown = [f"    y[{i}] = {sp.ccode(e.xreplace(names))};" for i, e in enumerate(seen)]
-    limits = plant.u_limits if clipped and plant.u_limits is not None else ()
-    clip = [
-        f"    if (u[{k}] < {float(lo)!r}) u[{k}] = {float(lo)!r};\n"
-        f"    if (u[{k}] > {float(hi)!r}) u[{k}] = {float(hi)!r};"
-        for k, (lo, hi) in enumerate(limits)
-    ]
     export_c(made, folder)
-    text = LOOP.replace("@plant@", "\n".join(lines)).replace("@clip@", "\n".join(clip))
+    text = LOOP.replace("@plant@", "\n".join(lines))
     text = text.replace("@measured@", "\n".join(shown))
     (folder / "loop.c").write_text(
         "#define _GNU_SOURCE\n#include <math.h>\n" + text, encoding="utf-8"
     )
     library = folder / "loop.so"
-    command = ["gcc", "-O3", "-shared", "-fPIC", "-std=c99", "-o", library, "loop.c", "necc.c"]
+    command = [
+        "gcc",
+        *["-DLIMITED"] * limited,
+        "-O3",
+        "-shared",
+        "-fPIC",
+        "-std=c99",
+        "-o",
+        library,
+        "loop.c",
+        "necc.c",
+    ]
     subprocess.run([*command, "-lm"], cwd=folder, check=True)
     return ctypes.CDLL(str(library))
 
@@ -165,7 +177,7 @@ def row_of(
         if c.name in ("region", "global") and c.holds
     ]
     anywhere = any(c.name == "clipping" and c.data.get("everywhere") for c in certificate.claims)
-    clipped = anywhere or certificate.level_clipped is not None
+    limited = anywhere or certificate.level_clipped is not None
     top = certificate.level_clipped or certificate.level or 0.0
     starts = drawn(made, certificate, count, top)
     rates = np.abs(made.spectrum)
@@ -174,7 +186,7 @@ def row_of(
     steps = int(np.clip(np.ceil(horizon / dt), CHECKPOINTS, 30_000))
     steps -= steps % CHECKPOINTS
     with tempfile.TemporaryDirectory() as folder:
-        library = compiled(model, made, Path(folder), clipped)
+        library = compiled(model, made, Path(folder), limited)
         z = np.ascontiguousarray(kept(made, starts, -1))
         out = np.empty((len(z), CHECKPOINTS, z.shape[1]))
         pointer = ctypes.POINTER(ctypes.c_double)
@@ -205,7 +217,7 @@ def row_of(
                 left += int(beyond.any(1).sum())
     late = int(far_from(made, starts, z).sum())
     claim = "global" if certificate.is_global else "/".join(str(f) for f in follows)
-    kind = "clipped" if clipped else "–"
+    kind = ("scaled" if made.scales_damping else "clipped") if limited else "–"
     return [name, claim, kind, *map(str, (len(z), rises, left, late)), f"{steps}"]
 
 

@@ -1,6 +1,8 @@
 """Models and trained designs that many tests share; each is made once per session."""
 
 import dataclasses
+import gc
+import os
 
 import numpy as np
 import pytest
@@ -10,6 +12,16 @@ from helpers.problems import CART_AND_CRANE, PENDULUM, problem, solve
 from necc_casadi.designs.design import Design
 from necc_casadi.model.model_file import load_model
 from necc_casadi.synthesis.options import Options, paper_options
+
+# There is a worker for each core, and some tests start commands of their own: further threads for
+# small matrices only wait for each other. Read by workers and commands as they start.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+
+def pytest_collection_finish():
+    """What was imported and collected lives to the end: no need to look through it again."""
+    gc.collect()
+    gc.freeze()
 
 
 @pytest.fixture(scope="session")

@@ -4,13 +4,12 @@ import ast
 import subprocess
 import sys
 from functools import cache
-from pathlib import Path
 
 import pytest
+from helpers import sources
+from helpers.sources import PACKAGE
 
 import necc_casadi
-
-PACKAGE = Path(necc_casadi.__file__).parent
 
 #: Folders and top-level files in the order of the theory. Each imports from lines above its own
 #: only; what shares a line does not know each other.
@@ -42,11 +41,9 @@ SYMBOLIC = {"symbolic", "model", "casimirs", "verdict", "methods"}
 BOTH = {"lyapunov/sympy2casadi", "synthesis/sample_box"}
 
 FILES = {
-    path.relative_to(PACKAGE).with_suffix("").as_posix().removesuffix("/__init__"): path
-    for path in sorted(PACKAGE.rglob("*.py"))
-    if "templates" not in path.parts
+    name.removesuffix(".py").removesuffix("/__init__"): PACKAGE / name for name in sources.TREES
 }
-TREES = {name: ast.parse(path.read_text("utf-8")) for name, path in FILES.items()}
+TREES = dict(zip(FILES, sources.TREES.values(), strict=True))
 MODULES = {f"necc_casadi.{name.replace('/', '.')}": name for name in FILES if name != "__init__"}
 
 

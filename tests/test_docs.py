@@ -14,6 +14,7 @@ from typing import get_args
 import click
 import jsonschema
 import pytest
+from helpers.sources import PACKAGE, TREES
 
 import necc_casadi
 from necc_casadi.certificate.claims import regions
@@ -31,12 +32,6 @@ from necc_casadi.designs.layout import DESIGN_FORMAT
 
 ROOT = Path(__file__).parent.parent
 DOCS = ROOT / "docs"
-PACKAGE = Path(necc_casadi.__file__).parent
-TREES = {
-    path.relative_to(PACKAGE).as_posix(): ast.parse(path.read_text("utf-8"))
-    for path in sorted(PACKAGE.rglob("*.py"))
-    if "templates" not in path.parts
-}
 PAGES = {
     path: path.read_text("utf-8")
     for path in (*sorted(DOCS.glob("*.md")), ROOT / "README.md", ROOT / "benchmarks" / "README.md")

@@ -7,7 +7,8 @@ critical point, it is given up after its default, which costs a second or two, i
 arrive.
 
 What is claimed comes first, then how many starts arrive, how many ask for more than the inputs'
-limits where clipping may do harm, and the cost; where costs are about equal, the larger region.
+limits where clipping may do harm, if it is a tenth of them more, and the cost; where costs are
+about equal, the larger region.
 """
 
 from __future__ import annotations
@@ -133,11 +134,13 @@ def _worse(kept: Judged, other: Judged) -> str | None:
 
 
 def _overreaches(kept: Judged, other: Judged) -> str | None:
-    """That more starts ask for too much of the inputs; nothing is where clipping does no harm."""
-    more, fewer = kept.response.beyond, other.response.beyond
-    if more <= fewer or holds_everywhere(kept.design):
+    """That more starts ask for too much of the inputs; nothing is where clipping does no harm.
+
+    A tenth of the starts more or less says nothing: of other starts it would be another number.
+    """
+    more, fewer, count = kept.response.beyond, other.response.beyond, len(kept.response.arrived)
+    if more <= fewer + NEAR * count or holds_everywhere(kept.design):
         return None
-    count = len(kept.response.arrived)
     return f"{more} of {count} starts ask for more than the inputs' limits with it, not {fewer}"
 
 

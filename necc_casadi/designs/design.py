@@ -27,6 +27,8 @@ from necc_casadi.designs.natural import natural_parts
 from necc_casadi.designs.parts import Parts
 from necc_casadi.errors import OptionError, OutputError
 from necc_casadi.files import refuse_unfinished, write_text
+from necc_casadi.lyapunov.damping import acts_alone
+from necc_casadi.lyapunov.limits import limited_law
 from necc_casadi.lyapunov.lyapunov import LyapunovFunction, make_terms
 from necc_casadi.lyapunov.opened_loop import opened_at_the_input
 from necc_casadi.model.domain import Domain, domain_of
@@ -200,6 +202,24 @@ class Design(Parts):
         """(x, kept) -> (u, rate): the law with what it keeps, s and the ζ of integral action."""
         k = self.loop.plant.n // 2
         return with_integrators(self.lyapunov, self.integral, self.z_star[:k])
+
+    @cached_property
+    def scales_damping(self) -> bool:
+        """Whether limits of u scale the damping injection; else they clip each input by itself."""
+        plant = self.loop.plant
+        ahead = plant.preliminary
+        alone = acts_alone(self.damping, plant.m) and (ahead is None or ahead.acts_alone)
+        return plant.u_limits is not None and not alone
+
+    @cached_property
+    def limited_controller(self) -> ca.Function:
+        """(x, kept) -> (u, rate, what u would be without limits), u within those of the model."""
+        k, limits = self.loop.plant.n // 2, self.loop.plant.u_limits
+        resting = None
+        if self.scales_damping:
+            resting = with_integrators(self.lyapunov.resting, self.integral, self.z_star[:k])
+        ends = (None, None) if limits is None else np.array(limits, float).T
+        return limited_law(self.controller, resting, *ends)
 
     @cached_property
     def measured_controller(self) -> ca.Function:

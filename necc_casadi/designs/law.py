@@ -29,7 +29,10 @@ class Law:
     V_xi: ca.SX  # (nc,), ∂V/∂ξ
     u: ca.SX  # (m,)
     rate: ca.SX  # (nc,), ṡ
+    undamped: ca.SX  # (nc,), the same without damping
     damped: ca.SX  # (nc,), what damping adds to it
+    resting: ca.SX  # (m,), u without damping
+    pull: ca.SX  # (m,), what damping adds to it
 
     @property
     def slopes(self) -> dict[str, ca.SX]:
@@ -51,12 +54,16 @@ def law_of(design: Design) -> Law:
     energy_slope = ca.vertcat(grad_H, grad_hc)
     V_z = (ca.SX(1) if phi_1 is None else phi_1) * energy_slope + ca.jacobian(c, z).T @ gamma
     injected = -ca.DM(design.damping) @ (terms.ports(z).T @ V_z)
+    pull, resting = injected[:m], -terms.feedback(z) @ grad_hc
     u = injected[:m] - terms.feedback(z) @ grad_hc
-    u = u if terms.preliminary is None else terms.preliminary(z[:n], u)
+    if terms.preliminary is not None:
+        given = ca.SX.sym("u", m)
+        gain = ca.jacobian(terms.preliminary(z[:n], given), given)
+        u, resting, pull = (*(terms.preliminary(z[:n], v) for v in (u, resting)), gain @ pull)
     damped = terms.own_ports(z) @ injected
-    rate = terms.own_structure(z) @ energy_slope + damped
+    undamped = terms.own_structure(z) @ energy_slope
+    rate = undamped + damped
     slope_here = ca.densify(terms.measured.grad_H(x))
-    c, V_xi, u, rate, damped = ca.substitute(
-        [c, V_z[n:], u, rate, damped], [z, grad_H], [here, slope_here]
-    )
-    return Law(x, s, state, here[n:], grad_hc, gamma, phi_1, c, V_xi, u, rate, damped)
+    parts = [c, V_z[n:], u, rate, undamped, damped, resting, pull]
+    known = ca.substitute(parts, [z, grad_H], [here, slope_here])
+    return Law(x, s, state, here[n:], grad_hc, gamma, phi_1, *known)

@@ -10,10 +10,12 @@ With ``casimir`` it reads ξ off x, and keeps ξ − γ(x) of the published loop
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import casadi as ca
 
 from necc_casadi.designs.integral import integral_rate
-from necc_casadi.designs.law import law_of
+from necc_casadi.designs.law import Law, law_of
 from necc_casadi.export.casadi2c import c_function
 from necc_casadi.export.margin import (
     margin_code,
@@ -42,7 +44,7 @@ _START = {
 def controller(source: Source) -> str:
     """The text of ``necc.c``."""
     networks, real = c_networks(source), source.number
-    saturation = _saturation(source)
+    integral, target = _integral(source), target_code(source)
     text = fill(
         "necc.c",
         design_hash=source.design.hash,
@@ -56,15 +58,16 @@ def controller(source: Source) -> str:
         parts=indent(_parts(source)),
         shape=indent(_shape(source)),
         law_arguments=_members(source),
+        share=_share(source, ""),
+        share_parameter=", const necc_real share[1]" if source.scales_rate else "",
         **_update(source),
-        saturation=saturation,
-        saturate="saturate(u)" if saturation else "NECC_OK",
+        **_limits(source, integral.pop("subtract") + target.pop("forward")),
         xi_star=real.literals(source.design.stored_star),
         init_at=_init_at(source),
         start=indent(_start(source)),
         margin=margin_code(source),
-        **_integral(source),
-        **target_code(source),
+        **integral,
+        **target,
     )
     return source.named(text)
 
@@ -75,8 +78,8 @@ def _update(source: Source) -> dict[str, str]:
     integrate = "" if source.design.integral is None else _INTEGRATE
     if kept is None:
         return {
-            "integrator": fill(f"{source.integrator}.c"),
-            "update": fill("update_held.c", integrate=integrate),
+            "integrator": fill(f"{source.integrator}.c", share=_share(source, "s->")),
+            "update": fill("update_held.c", integrate=integrate, share=_share(source, "next.")),
             "rate_of": "xi' alone.",
             "arrive": "",
             "remember": "\n    (void)memcpy(next.xidot, xidot, sizeof xidot);\n    next.moved = 0;",
@@ -88,6 +91,7 @@ def _update(source: Source) -> dict[str, str]:
         "update_kept.c",
         steps=source.substeps,
         longest=real.literal(source.longest_due),
+        share=_share(source, "s->"),
         integrate=integrate.replace("next.", "state->"),
     )
     return {
@@ -111,7 +115,8 @@ def _integral(source: Source) -> dict[str, str]:
     return {
         "integral": code,
         "counter": "\n    int i;",
-        "subtract": "\n    for (i = 0; i < NECC_NU; ++i) {\n        v[i] -= state->zeta[i];\n    }",
+        "subtract": "\n    for (i = 0; i < NECC_NU; ++i) {\n"
+        f"        {source.asked}[i] -= state->zeta[i];\n    }}",
     }
 
 
@@ -137,10 +142,21 @@ def _leaves(source: Source) -> list[str]:
     if needs_state(source):
         leaves.append(c_function("model_state", arguments[:1], [("state", law.state)], real))
     leaves.append(c_function("control_law", arguments, [("u", law.u), ("xidot", law.rate)], real))
-    moved = law.rate if source.kept is None else law.damped
-    leaves.append(c_function("state_rate", arguments, [("xidot", moved)], real))
+    leaves.append(_state_rate(source, law, arguments))
+    if design.scales_damping:
+        results = [("resting", law.resting), ("pull", law.pull)]
+        leaves.append(c_function("parted_law", arguments, results, real))
     leaves.append(c_function("energy_slope", arguments, [("gradient", law.V_xi)], real))
     return leaves
+
+
+def _state_rate(source: Source, law: Law, arguments: Sequence[tuple[str, ca.SX]]) -> str:
+    """The rate of what is kept, with the share of damping where limits scale that, too."""
+    share = ca.SX.sym("share") if source.scales_rate else ca.SX(1)
+    damped = share * law.damped
+    moved = law.undamped + damped if source.kept is None else damped
+    more = [("share", share)] if source.scales_rate else []
+    return c_function("state_rate", [*arguments, *more], [("xidot", moved)], source.number)
 
 
 def needs_state(source: Source) -> bool:
@@ -205,12 +221,37 @@ def _casimir(source: Source) -> tuple[list[str], list[str]]:
     )
 
 
-def _saturation(source: Source) -> str:
-    limits = source.design.loop.plant.u_limits
+def _limits(source: Source, added: str) -> dict[str, str]:
+    """The law in ``necc_output``, with what is added to u, and how u keeps its limits."""
+    limits, at = source.design.loop.plant.u_limits, "at" if moving_set(source) else "x"
+    plain = {"law": f"necc_control({at}, next.xi, v, xidot);{added}", "parts_of_u": ""}
     if limits is None:
-        return ""
+        return {**plain, "saturation": "", "saturate": "NECC_OK"}
     low, high = (source.number.literals(side) for side in zip(*limits, strict=True))
-    return fill("saturation.c", low=low, high=high)
+    if not source.design.scales_damping:
+        text = fill("saturation.c", low=low, high=high)
+        return {**plain, "saturation": text, "saturate": "saturate(u)"}
+    law = fill(
+        "law_scaled.c",
+        at=at,
+        members=_members(source),
+        added=added.replace("\n    ", "\n"),
+        share="next.share" if source.scales_rate else "share",
+        of_rate=_share(source, "next."),
+    )
+    own = [] if source.scales_rate else ["necc_real share[1];"]
+    parts = ["necc_real resting[NECC_NU], pull[NECC_NU];", *own, "shape_terms s;", "int flags;"]
+    return {
+        "law": indent(law).lstrip(),
+        "parts_of_u": "".join(f"\n    {part}" for part in parts),
+        "saturation": fill("scaling.c", low=low, high=high),
+        "saturate": "flags",
+    }
+
+
+def _share(source: Source, of: str) -> str:
+    """One more argument: the share of damping at the last sample, where it has to do with ξ."""
+    return f", {of}share" if source.scales_rate else ""
 
 
 def _start(source: Source) -> str:

@@ -42,9 +42,27 @@ _HELD_MEMBERS = """\
 _HELD_MOVED = "\n    int moved; /* whether xi has been advanced since xidot */"
 _HELD_UPDATE = """\
 /* xi advances over dt with the x of the last sample held (@method@); before the
- * first sample nothing does. The dynamics of xi use x alone, so that a clipped u does not wind
- * them up. What rounding takes away from xi is kept and added the next time. One call for each
- * period: what is proved of the sampled loop is not proved of several. */"""
+ * first sample nothing does. @wind_up@
+ * What rounding takes away from xi is kept and added the next time. One call for each period: what
+ * is proved of the sampled loop is not proved of several. */"""
+
+
+#: Why limits of u do not wind ξ up, by whether they scale damping that moves it.
+_WIND_UP = {
+    False: "The dynamics of xi use x alone, so that a limited u does not wind it up.",
+    True: "Of damping that moves xi the limits leave the same share as of that in u.",
+}
+
+
+#: In the state, where they do.
+_SHARE = "\n    necc_real share[1]; /* of damping that the limits of u left at the last sample */"
+
+
+#: How u keeps limits that scale damping.
+_SCALING = (
+    "\n *"
+    "\n * Within the limits of u v is share v@too@, with the largest share up to 1 that they leave."
+)
 
 
 #: The same where Casimirs are kept.
@@ -98,6 +116,7 @@ def header(source: Source) -> str:
         margin_constants=margin_constants(source),
         margin=margin_declaration(source),
         sampling=_sampling(source),
+        limited="its damping scaled" if design.scales_damping else "clipped",
         limits="" if plant.u_limits else "; never: the model has no limits",
         start_text=_START[design.initial_xi],
         order=_order(source),
@@ -117,17 +136,20 @@ def header(source: Source) -> str:
 
 def _update(source: Source) -> dict[str, str]:
     """What the state holds for the next sample, and what ``necc_update`` does."""
+    share = _SHARE if source.scales_rate else ""
     if source.kept is None:
         method = _METHODS[source.integrator]
         return {
-            "members": _HELD_MEMBERS,
+            "members": _HELD_MEMBERS + share,
             "moved": _HELD_MOVED,
-            "update_text": _HELD_UPDATE.replace("@method@", method),
+            "update_text": _HELD_UPDATE.replace("@method@", method).replace(
+                "@wind_up@", _WIND_UP[source.scales_rate]
+            ),
         }
     text = _KEPT_UPDATE.replace("@steps@", str(source.substeps))
     longest = f"{source.longest_due:.4g}"
     return {
-        "members": _KEPT_MEMBERS,
+        "members": _KEPT_MEMBERS + share,
         "moved": "",
         "update_text": text.replace("@longest@", longest),
     }
@@ -144,9 +166,11 @@ def _law(source: Source) -> str:
             "\n *   zeta' = Ki (B' (q - q*) + tau y) within its limits, zeta = 0 at the start,"
             f"\n *   tau = {integral.tau:.6g}, Ki = diag({gains}), limits {limits}"
         )
-    if source.design.loop.plant.preliminary is None:
-        return law
-    return law.replace(" *   u  =", " *   w  =") + "\n *   u  = u0(x) + B(x) w"
+    if source.design.loop.plant.preliminary is not None:
+        law = law.replace(" *   u  =", " *   w  =") + "\n *   u  = u0(x) + B(x) w"
+    if source.design.scales_damping:
+        law += _SCALING.replace("@too@", " and vc share vc" if source.scales_rate else "")
+    return law
 
 
 def _claims(source: Source) -> str:

@@ -20,6 +20,7 @@ from necc_casadi.export.casadi2c import Real
 from necc_casadi.export.kept_casimirs import KeptCasimirs, kept_casimirs
 from necc_casadi.export.sampled_loop import largest_stable_time
 from necc_casadi.export.templating import PREFIX, prefixed
+from necc_casadi.lyapunov.damping import is_coupled
 from necc_casadi.model.parametric import Parametric
 from necc_casadi.model.shaped_loop import ShapedLoop
 
@@ -148,6 +149,17 @@ class Source:
     def shaped(self) -> bool:
         """Whether the code keeps ξ − γ(x) in place of ξ."""
         return isinstance(self.design.loop, ShapedLoop)
+
+    @property
+    def scales_rate(self) -> bool:
+        """Whether limits of u scale damping that moves ξ, too."""
+        design = self.design
+        return design.scales_damping and is_coupled(design.damping, self.m)
+
+    @property
+    def asked(self) -> str:
+        """What in ``necc_output`` is added to, of u."""
+        return "resting" if self.design.scales_damping else "v"
 
     @property
     def measures_velocity(self) -> bool:

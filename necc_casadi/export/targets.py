@@ -152,7 +152,8 @@ def target_code(source: Source) -> dict[str, str]:
         "held": "\n    necc_real at[NECC_NX], more[NECC_NU];\n    int i;",
         "see": "seen(x, state->r, at);\n    ",
         "forward": f"\n    forward(state->r{pieces['theta_of_state']}, more);"
-        "\n    for (i = 0; i < NECC_NU; ++i) {\n        v[i] += more[i];\n    }",
+        "\n    for (i = 0; i < NECC_NU; ++i) {\n        "
+        f"{source.asked}[i] += more[i];\n    }}",
     }
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import lru_cache
 
 import casadi as ca
 import numpy as np
@@ -13,6 +14,7 @@ from necc_casadi.designs.design import Design
 from necc_casadi.export.casadi2c import Real
 from necc_casadi.export.source import Source
 from necc_casadi.export.templating import fill
+from necc_casadi.lyapunov.limits import share
 
 __all__ = ["TOLERANCE", "next_state", "reference_step", "vector_table"]
 
@@ -42,29 +44,54 @@ def next_state(source: Source) -> Next:
     def gamma(x: Vector) -> Vector:
         return np.asarray(kept.gamma(V.state(x)), float).ravel()
 
+    left = share_of_damping(source.design)
+
     def after(x: Vector, s: Vector, dt: float, x_next: Vector) -> Vector:
+        tau = float(left(x, s))
         xi, h = s - gamma(x) + gamma(x_next), min(dt, source.longest_due) / m
         for _ in range(m):
-            xi = xi + h * np.asarray(kept.rate(x_next, xi), float).ravel()
+            xi = xi + tau * h * np.asarray(kept.rate(x_next, xi), float).ravel()
         return xi
 
     return after
 
 
 def reference_step(design: Design, integrator: Integrator) -> ca.Function:
-    """(x, s, dt) -> (u, s after dt): one sample with the measured x held, before saturation."""
+    """(x, s, dt) -> (u, s after dt): one sample with the measured x held; u without its limits."""
     terms, law = design.lyapunov.terms, design.lyapunov.measured_law_function
     x, xi, dt = ca.MX.sym("x", terms.n), ca.MX.sym("xi", terms.nc), ca.MX.sym("dt")
-    u, k1 = law.call([x, xi])
+    u, share = law.call([x, xi])[0], share_of_damping(design).call([x, xi])[0]
+    resting = design.lyapunov.resting.measured_law_function
+
+    def rate(s: ca.MX) -> ca.MX:
+        known = law.call([x, s])[1]
+        if not design.scales_damping:
+            return known
+        return known - (1 - share) * (known - resting.call([x, s])[1])
+
+    k1 = rate(xi)
     if integrator == "euler":
         after = xi + dt * k1
     elif integrator == "heun":
-        after = xi + dt / 2 * (k1 + law.call([x, xi + dt * k1])[1])
+        after = xi + dt / 2 * (k1 + rate(xi + dt * k1))
     else:
-        k2 = law.call([x, xi + dt / 2 * k1])[1]
-        k3 = law.call([x, xi + dt / 2 * k2])[1]
-        after = xi + dt / 6 * (k1 + 2 * k2 + 2 * k3 + law.call([x, xi + dt * k3])[1])
+        k2 = rate(xi + dt / 2 * k1)
+        k3 = rate(xi + dt / 2 * k2)
+        after = xi + dt / 6 * (k1 + 2 * k2 + 2 * k3 + rate(xi + dt * k3))
     return ca.Function("necc_step", [x, xi, dt], [u, after])
+
+
+@lru_cache(maxsize=4)
+def share_of_damping(design: Design) -> ca.Function:
+    """(x, s) -> what limits of u leave of the damping, at what is measured; 1 where they clip u."""
+    V, limits = design.lyapunov, design.loop.plant.u_limits
+    x, s = ca.MX.sym("x", V.terms.n), ca.MX.sym("xi", V.terms.nc)
+    tau = ca.MX(1)
+    if limits is not None and design.scales_damping:
+        u, resting = (of.measured_law_function.call([x, s])[0] for of in (V, V.resting))
+        low, high = np.array(limits, float).T
+        tau = share(resting, u - resting, ca.DM(low), ca.DM(high))
+    return ca.Function("share", [x, s], [tau])
 
 
 def rounding_scales(design: Design) -> ca.Function:
@@ -121,7 +148,7 @@ def vector_table(source: Source) -> str:
         dt = float(real.rounded(np.array(source.step_time * (1 + index % 3) / 3)))
         u, rate = (np.asarray(v, float).ravel() for v in law.call([x, s]))
         after = following(x, s, dt, first)
-        limited, flags = _saturated(design, u)
+        limited, flags = _limited(design, x, s, u)
         outputs = [u, rate, limited, after, *scales(V.state(x), s, dt, after)]
         rows.append(_row([x, s], outputs, dt, flags, real))
     text = fill(
@@ -149,11 +176,14 @@ def _scales(source: Source) -> Callable[[Vector, Vector, float, Vector], list[Ve
     return at
 
 
-def _saturated(design: Design, u: Vector) -> tuple[Vector, int]:
+def _limited(design: Design, x: Vector, s: Vector, u: Vector) -> tuple[Vector, int]:
+    """U within its limits, and the flags of a sample, at what is measured and kept."""
     limits = design.loop.plant.u_limits
     if limits is None:
         return u, 0
-    limited = np.clip(u, [lo for lo, _ in limits], [hi for _, hi in limits])
+    left = float(share_of_damping(design)(x, s))
+    pull = u - np.asarray(design.lyapunov.resting.measured_law_function.call([x, s])[0]).ravel()
+    limited = np.clip(u - (1 - left) * pull, *np.array(limits, float).T)
     return limited, _SATURATED if np.any(limited != u) else 0
 
 

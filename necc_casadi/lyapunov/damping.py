@@ -10,7 +10,7 @@ import numpy as np
 
 from necc_casadi.arrays import Vector
 
-__all__ = ["dissipates", "uncoupled"]
+__all__ = ["acts_alone", "dissipates", "is_coupled", "uncoupled", "without_inputs"]
 
 
 def uncoupled(D: Vector, Dc: Vector) -> Vector:
@@ -19,6 +19,25 @@ def uncoupled(D: Vector, Dc: Vector) -> Vector:
     damping = np.zeros((size, size))
     damping[:m, :m], damping[m:, m:] = D, Dc
     return damping
+
+
+def is_coupled(damping: Vector, m: int) -> bool:
+    """Whether the first m ports and the others have to do with each other."""
+    return bool(damping[:m, m:].any() or damping[m:, :m].any())
+
+
+def acts_alone(damping: Vector, m: int) -> bool:
+    """Whether each of the first m entries of (v, v_c) is about its own port alone."""
+    D = damping[:m, :m]
+    return not (is_coupled(damping, m) or (D - np.diag(np.diag(D))).any())
+
+
+def without_inputs(damping: Vector, m: int) -> Vector:
+    """𝒟 without v, the first m entries, and without all that is coupled with it."""
+    left = np.zeros_like(damping)
+    if not is_coupled(damping, m):
+        left[m:, m:] = damping[m:, m:]
+    return left
 
 
 def dissipates(damping: Vector) -> bool:

@@ -16,7 +16,7 @@ van der Schaft (2017), Proposition 7.1.8.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TypeVar
 
@@ -26,6 +26,7 @@ import numpy.typing as npt
 
 from necc_casadi.arrays import Vector
 from necc_casadi.casimirs.casimirs import Casimirs
+from necc_casadi.lyapunov.damping import without_inputs
 from necc_casadi.lyapunov.parameterization import Form
 from necc_casadi.lyapunov.sympy2casadi import casadi_function
 from necc_casadi.model.closed_loop import ClosedLoop
@@ -231,6 +232,11 @@ class LyapunovFunction:
         w = ca.DM(self.weights)
         form = self.form
         return value(self.terms, z, form.controller_energy(w), form.casimir(w), form.outer(w))
+
+    @cached_property
+    def resting(self) -> LyapunovFunction:
+        """The same V without the damping that limits of inputs scale."""
+        return replace(self, damping=without_inputs(self.damping, self.terms.m))
 
     def V(self, z: npt.ArrayLike) -> Vector:
         """V(z), one number for each state."""

@@ -110,6 +110,13 @@ class Preliminary:
     #: the plant with its own energy, where it has one: it knows the sizes of its states
     origin: Equilibria | None = None
 
+    @property
+    def acts_alone(self) -> bool:
+        """Whether each ũᵢ moves its own uᵢ alone, and upwards, whatever the state."""
+        B, size = self.gain, range(self.gain.rows)
+        alone = not any(B[i, j] for i in size for j in size if i != j)
+        return alone and all(B[i, i].is_positive is True for i in size)
+
     def residuals(self, flow: sp.MatrixBase, ports: sp.MatrixBase) -> tuple[sp.Expr, ...]:
         """What must vanish for a structure with this flow (J_d − R_d)∇H₀ and these ports G_d."""
         return (*(self.f + self.g * self.u0 - flow), *(self.g * self.gain - ports))

@@ -16,6 +16,7 @@ import numpy as np
 from necc_casadi.arrays import Truth, Vector
 from necc_casadi.designs.design import Design
 from necc_casadi.interrupts import interruptible
+from necc_casadi.lyapunov.limits import limited_law
 from necc_casadi.performance.plant_model import PlantModel
 
 __all__ = ["Feedback", "Responses", "design_feedback", "lqr_feedback", "responses"]
@@ -44,6 +45,13 @@ class Feedback:
     law: ca.Function  # (x, s) -> (u, ṡ), s what the controller keeps
     nc: int  # states of the controller
     start: Callable[[Vector], Vector]  # x(0) (n,) -> s(0) (nc,)
+    #: the law without the damping that limits scale; None: they clip each input
+    resting: ca.Function | None = None
+
+    def limited(self, low: Vector, high: Vector) -> ca.Function:
+        """(x, s) -> (u, ṡ, what u would be), u within these limits, (m,) each; ∞ where none."""
+        given = (low, high) if np.isfinite([low, high]).any() else (None, None)
+        return limited_law(self.law, self.resting, *given)
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,8 +117,10 @@ class Responses:
 def design_feedback(design: Design) -> Feedback:
     """The controller of a design, ξ starting where the design says."""
     natural, V = design.natural, design.natural.lyapunov
-    law = V.control_law_function
-    return Feedback(law, V.terms.nc, lambda x: V.stored(x, natural.xi_at_state(x)))
+    law, resting = V.control_law_function, None
+    if design.scales_damping:
+        resting = V.resting.control_law_function
+    return Feedback(law, V.terms.nc, lambda x: V.stored(x, natural.xi_at_state(x)), resting)
 
 
 def lqr_feedback(plant: PlantModel) -> Feedback | None:
@@ -147,14 +157,17 @@ def responses(
         except RuntimeError:  # the integrator's way to say that it cannot go on
             continue
         states[index, 1:] = ends.T
-    law = feedback.law.map(len(starts) * _POINTS)
+    law = feedback.limited(plant.u_low, plant.u_high).map(len(starts) * _POINTS)
     columns = states.reshape(-1, n + nc + 1).T
-    u, _ = law.call([columns[:n], columns[n : n + nc]])
-    demand = np.asarray(u, float).reshape(plant.m, -1).T.reshape(len(starts), _POINTS, plant.m)
+    applied, _, asked = law.call([columns[:n], columns[n : n + nc]])
+    u, demand = (
+        np.asarray(v, float).reshape(plant.m, -1).T.reshape(len(starts), _POINTS, plant.m)
+        for v in (applied, asked)
+    )
     found = Responses(
         t=grid,
         x=states[..., :n],
-        u=np.clip(demand, plant.u_low, plant.u_high),
+        u=u,
         demand=demand,
         kept=states[..., n : n + nc],
         cost=states[:, -1, -1],
@@ -168,9 +181,7 @@ def _integrator(plant: PlantModel, feedback: Feedback, grid: Vector) -> ca.Funct
     n, nc = plant.n, feedback.nc
     state = ca.MX.sym("state", n + nc + 1)
     x, xi = state[:n], state[n : n + nc]
-    u, xi_dot = feedback.law.call([x, xi])
-    if plant.limited:
-        u = ca.fmin(ca.fmax(u, ca.DM(plant.u_low)), ca.DM(plant.u_high))
+    u, xi_dot, _ = feedback.limited(plant.u_low, plant.u_high).call([x, xi])
     sx, su = ca.SX.sym("x", n), ca.SX.sym("u", plant.m)
     running = ca.Function("cost", [sx, su], [plant.running_cost(sx, su)])
     field = {"x": state, "ode": ca.vertcat(plant.dynamics(x, u), xi_dot, running(x, u))}

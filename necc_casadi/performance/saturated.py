@@ -195,8 +195,7 @@ class _Follower:
         plant, n, nc = self.plant, self.plant.n, self.feedback.nc
         state = ca.MX.sym("state", n + nc + 1)
         x, xi = state[:n], state[n : n + nc]
-        asked, xi_dot = self._law.call([x, xi])
-        u = ca.fmin(ca.fmax(asked, ca.DM(self.lo)), ca.DM(self.hi))
+        u, xi_dot, asked = self.feedback.limited(self.lo, self.hi).call([x, xi])
         sx, su = ca.SX.sym("x", n), ca.SX.sym("u", plant.m)
         running = ca.Function("cost", [sx, su], [plant.running_cost(sx, su)])
         slope = ca.vertcat(plant.dynamics(x, u), xi_dot, running(x, u))

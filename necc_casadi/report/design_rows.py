@@ -82,7 +82,7 @@ def design_rows(
     ]
 
 
-def sampled_text(sampling: SampledLoop, certificate: Certificate | None) -> str:
+def sampled_text(design: Design, sampling: SampledLoop, certificate: Certificate | None) -> str:
     """The sampled loop: what is proved, and what is linearised."""
     limit = (
         "no largest stable sample time was found"
@@ -100,14 +100,14 @@ def sampled_text(sampling: SampledLoop, certificate: Certificate | None) -> str:
     from necc_casadi.certificate.claims.statements import down
 
     longest = down(region.period * units.time, 4)
+    limited = ", with u kept within its limits" if region.clipped else ""
     return (
-        f"proved to converge from a region for all periods up to {longest} "
-        f"s{', with u clipped to its limits' if region.clipped else ''}{_disturbed(certificate)}; "
-        f"{local}"
+        f"proved to converge from a region for all periods up to {longest} s{limited}"
+        f"{_disturbed(design, certificate)}; {local}"
     )
 
 
-def _disturbed(certificate: Certificate) -> str:
+def _disturbed(design: Design, certificate: Certificate) -> str:
     """How near it stays under what it was asked to bear."""
     from necc_casadi.certificate.claims.statements import down, up
 
@@ -118,11 +118,15 @@ def _disturbed(certificate: Certificate) -> str:
     borne += ["noise"] if any(found.noise) else []
     borne += ["errors of u"] if any(found.input_error) else []
     borne += ["a delay of one sample"] if found.delay is not None else []
-    radii = ", ".join(up(r * unit, 2) for r, unit in zip(found.radius, units.state, strict=False))
+    names, states = design.loop.states, design.loop.plant.units
+    radii = ", ".join(
+        tied(f"{name} ± {up(radius * unit, 2)} {states.get(name, '')}".rstrip())
+        for name, radius, unit in zip(names, found.radius, units.state, strict=True)
+    )
     shortest, longest = up(found.shortest * units.time, 4), down(found.period * units.time, 4)
     return (
         f", and with {', '.join(borne)} and periods from {shortest} to {longest} s to come within "
-        f"({radii}) of z̄ and stay there"
+        f"{radii} of z̄ and stay there"
     )
 
 
@@ -175,7 +179,7 @@ def starts_text(kept: Judged) -> str:
     if kept.certificate.stability != "asymptotic":
         return f"{len(response.arrived)} that fill the domain: none need arrive"
     limited = kept.design.loop.plant.u_limits is not None
-    clipped = ", inputs clipped to their limits" if limited else ""
+    clipped = ", inputs within their limits" if limited else ""
     dear = "" if kept.cost_to_lqr is None else f"; cost {kept.cost_to_lqr:.3g} × LQR"
     unknown = len(response.arrived) - kept.arrivals - len(response.strayed)
     way = (

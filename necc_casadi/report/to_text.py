@@ -104,8 +104,9 @@ def facts(found: Findings) -> list[tuple[str, str]]:
         rows.append(("responses", responses_text(found)))
     if found.choice is not None:
         rows.append(("starts", starts_text(found.choice.kept)))
-    if found.sampling is not None:
-        rows.append(("sampled", sampled_text(found.sampling, found.certificate)))
+    if found.design is not None and found.sampling is not None:
+        sampled = sampled_text(found.design, found.sampling, found.certificate)
+        rows.append(("sampled", sampled))
     if found.certificate is not None:
         rows += family_rows(found) + integral_rows(found) + plants_rows(found)
         rows += region_rows(found, found.certificate)
@@ -148,8 +149,9 @@ def brief(found: Findings) -> list[tuple[str, str]]:
         rows += _compared_rows(found, found.performance)
     if found.responses:
         rows.append(("responses", responses_text(found)))
-    if found.sampling is not None:
-        rows.append(("sampled", sampled_text(found.sampling, certificate)))
+    if found.design is not None and found.sampling is not None:
+        sampled = sampled_text(found.design, found.sampling, certificate)
+        rows.append(("sampled", sampled))
     if certificate is not None:
         rows += family_rows(found) + integral_rows(found) + plants_rows(found)
         rows += [] if integral_rows(found) else region_rows(found, certificate)[:2]

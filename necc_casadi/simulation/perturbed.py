@@ -89,11 +89,7 @@ class OtherPlants:
         ports = casadi_function("ports", known, plant.G)
         n, z = own.n, ca.MX.sym("z", self._size)
         theta, count = ca.MX.sym("theta", len(self.names)), len(plant.symbols)
-        asked, s_dot = self._natural.controller.call([z[:n], z[n:]])
-        u = asked
-        if self._natural.loop.plant.u_limits is not None:
-            low, high = np.array(self._natural.loop.plant.u_limits, float).T
-            u = ca.fmin(ca.fmax(asked, ca.DM(low)), ca.DM(high))
+        u, s_dot, _ = self._natural.limited_controller.call([z[:n], z[n:]])
         state = ca.DM(units.state[:n])
         at = ca.vertcat(z[:n] * state, theta[:count, 0])
         pushed = theta[count:, 0] if self._pushed else 0

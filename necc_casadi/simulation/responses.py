@@ -14,7 +14,7 @@ import numpy.typing as npt
 from necc_casadi.arrays import Vector
 from necc_casadi.designs.design import Design
 from necc_casadi.interrupts import interruptible
-from necc_casadi.simulation.saturated import applied, disturbed_field, integrators
+from necc_casadi.simulation.saturated import disturbed_field, integrators
 
 __all__ = [
     "SETTLED",
@@ -248,19 +248,21 @@ def response_from(
     w0 = np.concatenate([z0, np.zeros(integrators(design))])
     both, cut = _integrated(natural, w0, grid / units.time, patience, d)
     states, zeta, count = both[:, :N], both[:, N:], len(both)
-    asked = V.control_law(states[:, :n], states[:, n:])[0]
-    demand = (asked - zeta if zeta.size else asked) * units.input
+    kept = np.hstack([V.stored(states[:, :n], states[:, n:]), zeta])
+    u, _, demand = (
+        np.asarray(v, float).T for v in natural.limited_controller.call([states[:, :n].T, kept.T])
+    )
     return Trajectory(
         t=grid[:count],
         z=states * units.state,
-        u=applied(design, demand),
+        u=u * units.input,
         V=V.V(states) * units.energy,
         z_bar=design.z_bar,
         V_bar=natural.V(natural.z_bar) * units.energy,
         complete=count == points and bool(np.all(np.isfinite(states))),
         size=design.sizes.state,
         cut=cut,
-        demand=demand,
+        demand=demand * units.input,
         measured=design.lyapunov.measured(states[:, :n] * units.state[:n])
         if design.measurement.of_velocities
         else None,

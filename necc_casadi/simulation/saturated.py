@@ -5,22 +5,11 @@ from __future__ import annotations
 from functools import lru_cache
 
 import casadi as ca
-import numpy as np
 
-from necc_casadi.arrays import Vector
 from necc_casadi.designs.design import Design
 from necc_casadi.lyapunov.lyapunov import state_rate
 
-__all__ = ["applied", "disturbed_field", "integrators", "saturated_field"]
-
-
-def applied(design: Design, u: Vector) -> Vector:
-    """Inputs (…, m) within the limits of the model, in its units."""
-    limits = design.loop.plant.u_limits
-    if limits is None:
-        return u
-    low, high = np.array(limits, float).T
-    return np.asarray(np.clip(u, low, high), float)
+__all__ = ["disturbed_field", "integrators", "saturated_field"]
 
 
 def integrators(design: Design) -> int:
@@ -30,7 +19,7 @@ def integrators(design: Design) -> int:
 
 @lru_cache(maxsize=4)
 def saturated_field(design: Design) -> ca.Function:
-    """(z, ζ) -> (ż, ζ̇) with u clipped; without limits and ζ the loop that proofs of V are about."""
+    """(z, ζ) -> (ż, ζ̇) with u limited; without limits and ζ the loop that proofs of V are about."""
     if design.loop.plant.u_limits is None and design.integral is None:
         return design.lyapunov.vector_field_function
     w = ca.MX.sym("z", len(design.loop.z) + integrators(design))
@@ -40,18 +29,15 @@ def saturated_field(design: Design) -> ca.Function:
 
 @lru_cache(maxsize=4)
 def disturbed_field(design: Design) -> ca.Function:
-    """(z, ζ), d -> (ż, ζ̇) with u clipped and a constant d (m,) added to what the plant gets."""
-    V, limits = design.lyapunov, design.loop.plant.u_limits
+    """(z, ζ), d -> (ż, ζ̇) with u limited and a constant d (m,) added to what the plant gets."""
+    V = design.lyapunov
     terms, N = V.terms, V.terms.n + V.terms.nc
     w, d = ca.MX.sym("w", N + integrators(design)), ca.MX.sym("d", terms.m)
     x, s = w[: terms.n], w[terms.n : N] - terms.gamma(w[: terms.n])
     zeta = [w[N:]] if design.integral is not None else []
-    u, kept_dot = design.controller.call([x, ca.vertcat(s, *zeta)])
+    u, kept_dot, _ = design.limited_controller.call([x, ca.vertcat(s, *zeta)])
     s_dot = kept_dot[: terms.nc]
     zeta_dot = [_projected(design, v, kept_dot[terms.nc :]) for v in zeta]
-    if limits is not None:
-        low, high = np.array(limits, float).T
-        u = ca.fmin(ca.fmax(u, ca.DM(low)), ca.DM(high))
     x_dot = terms.drift(x) + terms.directions(x) @ (u + d)
     rate = state_rate(terms, x, x_dot, s_dot)
     return ca.Function("loop", [w, d], [ca.vertcat(rate, *zeta_dot)], ["w", "d"], ["rate"])

@@ -26,6 +26,7 @@ import numpy as np
 
 from necc_casadi.arrays import Vector
 from necc_casadi.designs.outcome import Start
+from necc_casadi.lyapunov.damping import acts_alone
 from necc_casadi.lyapunov.opened_loop import plant_dynamics
 from necc_casadi.model.domain import domain_of
 from necc_casadi.model.samples import quasi_random
@@ -202,7 +203,9 @@ class _Search:
         plan, plant = self.program.plan, self._plant()
         box, n = domain_of(plan.loop, self.z_star, plan.natural.state), plan.terms.n
         starts = box.lo[:n] + quasi_random(_STARTS, n, _SEED) * (box.hi - box.lo)[:n]
-        rollouts = Rollouts(self.moving, plant, starts)
+        given = self.program.options.D is not None or self.program.options.Dc is not None
+        alone = given and acts_alone(self.moving.trained, plan.terms.m)
+        rollouts = Rollouts(self.moving, plant, starts, scales=not alone)
         spectrum = np.linalg.eigvals(rollouts.slope(self.theta)).astype(complex)
         fastest = float(np.abs(spectrum).max())
         if plant.linear is None or not spectrum.real.max() < 0:

@@ -28,6 +28,7 @@ import numpy as np
 
 from necc_casadi.arrays import Vector
 from necc_casadi.interrupts import interruptible
+from necc_casadi.lyapunov.limits import clipped, scaled
 from necc_casadi.lyapunov.lyapunov import control_law, value
 from necc_casadi.lyapunov.networks import Network
 from necc_casadi.lyapunov.opened_loop import plant_dynamics
@@ -165,10 +166,16 @@ class Sums:
 
 
 class Rollouts:
-    """Responses from plant states (N, n), on a fixed grid; first over one step of no length."""
+    """Responses from plant states (N, n), on a fixed grid; first over one step of no length.
 
-    def __init__(self, moving: Moving, plant: PlantModel, starts: Vector) -> None:
+    With `scales` limits of inputs scale the damping, as where 𝒟 is full; else they clip inputs.
+    """
+
+    def __init__(
+        self, moving: Moving, plant: PlantModel, starts: Vector, scales: bool = True
+    ) -> None:
         self.moving, self.plant, self.starts = moving, plant, starts
+        self.scales = scales
         self.step, self.steps = 0.0, 1
         self.n, self.nc = plant.n, moving.lifting.terms.nc
         held = np.asarray(moving.lifting.terms.gamma(plant.x_star), float).ravel()
@@ -197,14 +204,19 @@ class Rollouts:
         return result
 
     def _stages(self) -> tuple[ca.Function, ca.Function]:
-        """(z, θ) -> ż and u, clipped; and the same with their slopes in z and θ."""
+        """(z, θ) -> ż and u, limited; and the same with their slopes in z and θ."""
         moving, plant = self.moving, self.plant
         terms, form = moving.lifting.terms, moving.lifting.form
         x, s = ca.MX.sym("x", self.n), ca.MX.sym("s", self.nc)
         theta = ca.MX.sym("theta", moving.size)
         weights, damping = moving.weights(theta), moving.damping_of(theta)
-        asked, s_dot = control_law(terms, form, weights, damping, x, s)
-        u = ca.fmin(ca.fmax(asked, ca.DM(plant.u_low)), ca.DM(plant.u_high))
+        u, s_dot = control_law(terms, form, weights, damping, x, s)
+        low, high = ca.DM(plant.u_low), ca.DM(plant.u_high)
+        if plant.limited and self.scales:
+            resting = control_law(terms, form, weights, ca.DM(*damping.shape), x, s)
+            u, s_dot = scaled(u, s_dot, *resting, low, high)
+        elif plant.limited:
+            u = clipped(u, low, high)
         found = ca.vertcat(plant_dynamics(terms)(x, u), s_dot, u)
         split = ca.Function("split", [x, s, theta], [ca.densify(found)])
         z = ca.MX.sym("z", self.n + self.nc)

@@ -119,6 +119,8 @@ def test_what_asks_for_more_than_the_limits_is_not_taken_for_its_cost(decide):
     word = f"4 of {STARTS} starts ask for more than the inputs' limits with it, not 1"
     of_two = structure("shaping", gentle), structure("constant", cheap, everywhere=True)
     assert decide(*of_two) == ("shaping", {"constant": word}, 2)
+    hardly = structure("constant", designed(1.2, beyond=2), everywhere=True)
+    assert decide(of_two[0], hardly)[0] == "constant"  # a tenth of the starts more says nothing
 
 
 def test_of_about_equal_costs_the_larger_region_and_of_equals_the_first_is_kept(decide):

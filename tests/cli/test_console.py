@@ -6,7 +6,7 @@ import os
 import time
 
 import pytest
-from helpers.commands import CERTIFY, DESIGN, SIMULATE, process, without_progress
+from helpers.commands import CERTIFY, DESIGN, SIMULATE, design, process, without_progress
 from helpers.models import model
 from helpers.problems import PENDULUM
 
@@ -81,13 +81,14 @@ def test_what_a_terminal_would_obey_is_escaped():
     assert fitting("one\ntwo\x1b", io.StringIO()) == "one\ntwo\\x1b"
 
 
-def test_control_characters_in_a_model(tmp_path):
+def test_control_characters_in_a_model(tmp_path, monkeypatch):
     """A name or a unit goes into C, XML and plots: it is refused with its place."""
+    monkeypatch.chdir(tmp_path)
     for line in (r'name = "a\x01b"', r'units = {q: "rad\x01"}', r'units = {q: "a\nb"}'):
         path = model(tmp_path, line)
-        done = process(DESIGN, path, "--target", "pi/4", "--fmu", "--json", cwd=tmp_path)
-        assert done.returncode == 2
-        error = json.loads(done.stdout)["error"]
+        code, out, _ = design(path, "--target", "pi/4", "--fmu", "--json")
+        assert code == 2
+        error = json.loads(out)["error"]
         assert error["code"] == "model_file"
         assert "cannot be shown" in error["message"]
         assert "\\x01" in error["message"] or "\\n" in error["message"]

@@ -11,7 +11,7 @@ import time
 from pathlib import Path
 
 import pytest
-from helpers.commands import CERTIFY, DESIGN, check_refusal, here, process
+from helpers.commands import CERTIFY, DESIGN, check_refusal, design, here, process
 from helpers.problems import PENDULUM
 
 from necc_casadi.cli.certify import _certify
@@ -79,18 +79,18 @@ def test_a_file_of_the_user_is_refused_before_any_training(tmp_path, name):
     path.parent.mkdir(parents=True)
     path.write_text("mine")
     began = time.perf_counter()
-    done = run(tmp_path / "out", "--starts", "1000", cwd=tmp_path)
-    check_refusal((done.returncode, done.stdout, done.stderr), "output", str(path))
+    asked = (PENDULUM, *SMALL, "--out", tmp_path / "out", "--json", "--starts", "1000")
+    check_refusal(design(*asked), "output", str(path))
     assert time.perf_counter() - began < 100, "a thousand starts take minutes"
     assert path.read_text() == "mine"
 
 
 def test_a_file_that_was_changed_by_hand_is_refused(tmp_path):
-    assert run(tmp_path / "out", "--no-plots", cwd=tmp_path).returncode == 0
+    asked = (PENDULUM, *SMALL, "--out", tmp_path / "out", "--json", "--no-plots")
+    assert design(*asked)[0] == 0
     with (tmp_path / "out" / "c" / "main.c").open("a") as stream:
         stream.write("/* mine */\n")
-    done = run(tmp_path / "out", "--no-plots", cwd=tmp_path)
-    check_refusal((done.returncode, done.stdout, done.stderr), "output", "changed by hand")
+    check_refusal(design(*asked), "output", "changed by hand")
     assert (tmp_path / "out" / "c" / "main.c").read_text().endswith("/* mine */\n")
 
 

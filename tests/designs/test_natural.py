@@ -35,7 +35,7 @@ def task(request, tmp_path_factory):
     return problem(load_model(path), target)
 
 
-@pytest.fixture(params=FORMS)
+@pytest.fixture(scope="module", params=FORMS)
 def made(task, request) -> Design:
     return solve(task, Options(**SMALL | FORMS[request.param]))
 

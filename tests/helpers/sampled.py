@@ -10,7 +10,32 @@ def held_input(design, z):
     n = design.loop.plant.n
     u, rate = design.control(z[:, :n], z[:, n:])
     limits = design.loop.plant.u_limits
-    return (u if limits is None else np.clip(u, *np.array(limits).T)), rate
+    if limits is None:
+        return u, rate
+    low, high = np.array(limits).T
+    if design.scales_damping:
+        left = share(design, z)[:, None]
+        bare = resting(design).control(z[:, :n], z[:, n:])
+        u, rate = (b + left * (a - b) for a, b in zip((u, rate), bare, strict=True))
+    return np.clip(u, low, high), rate
+
+
+def resting(design):
+    """The same without damping in u, and without all of it where ξ is coupled with that."""
+    m, damping = design.loop.plant.m, design.damping.copy()
+    apart = not (damping[:m, m:].any() or damping[m:, :m].any())
+    damping[: m if apart else None] = 0.0
+    return replace(design, damping=damping)
+
+
+def share(design, z):
+    """How much of the damping the limits leave at states (B, N), −y_c within them, (B,)."""
+    n, limits = design.loop.plant.n, np.array(design.loop.plant.u_limits)
+    bare, full = (d.control(z[:, :n], z[:, n:])[0] for d in (resting(design), design))
+    v = full - bare
+    room = np.where(v > 0, limits[:, 1] - bare, bare - limits[:, 0])
+    with np.errstate(divide="ignore"):
+        return np.minimum(1.0, (room / np.abs(v)).min(1))
 
 
 def with_limits(design, limits):
@@ -55,5 +80,8 @@ def sampled_step(design, z, s, integrator="heun", u=None):
     moved = xi + s[:, None] * first
     if integrator == "heun":
         second = design.control(x, moved)[1]
+        if design.scales_damping:
+            bare = resting(design).control(x, moved)[1]
+            second = bare + share(design, z)[:, None] * (second - bare)
         moved = xi + s[:, None] / 2 * (first + second)
     return np.hstack([plant_after(design, x, law if u is None else u, s), moved])

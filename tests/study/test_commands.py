@@ -130,6 +130,7 @@ def test_without_dask_one_line_says_so(weighed, tmp_path, monkeypatch):
     ]
 
 
+@pytest.mark.slow  # waits for ten seconds
 def test_a_scheduler_that_does_not_answer_is_named(weighed, tmp_path):
     process = done(
         "montecarlo", weighed[1], "--vary", "m=10%", "--out", tmp_path / "o",

@@ -143,22 +143,6 @@ def check_input_limits(evidence: Evidence, proof: RegionProof | None, sound: boo
     return _check(evidence, proof, sound, "input_limits", evidence.certificate.level_u, given)
 
 
-def _keeps_signs(model: StoredDesign) -> bool:
-    """Whether B of u = u₀ + Bũ is diagonal and positive, whatever the state."""
-    if model.ahead is None:
-        return True
-    B, m = model.ahead.gain, model.m
-    off = [B[i, j] for i in range(m) for j in range(m) if i != j]
-    return all(e == 0 for e in off) and all(B[i, i].is_positive is True for i in range(m))
-
-
-def _is_alone(model: StoredDesign) -> bool:
-    """Whether D is diagonal, not coupled with v_c, and acts on u entry by entry."""
-    damping, m = model.damping, model.m
-    pairs = ((i, j) for i in range(m) for j in range(len(damping)) if i != j)
-    return _keeps_signs(model) and not any(damping[i][j] or damping[j][i] for i, j in pairs)
-
-
 def _check_everywhere(evidence: Evidence, sound: bool) -> Checked:
     """−A∇Hc is 0 and u₀ a constant strictly within the limits, whatever the state."""
     model = evidence.model
@@ -171,12 +155,11 @@ def _check_everywhere(evidence: Evidence, sound: bool) -> Checked:
 
     return Checked.by(
         "clipping",
-        statements.CLIPPED_EVERYWHERE,
+        statements.clipped_everywhere(model.scales_damping),
         [
             ("there are limits", lambda: bool(limits)),
             ("what holds without them is proved", lambda: sound),
             ("no level says less", lambda: evidence.certificate.level_clipped is None),
-            ("D is diagonal and not coupled with ξ", lambda: _is_alone(model)),
             ("u does not depend on Hc", lambda: all(e == 0 for e in model.feedback)),
             ("u₀ is constant", lambda: not any(u.free_symbols for u in ahead)),
             (
@@ -188,25 +171,21 @@ def _check_everywhere(evidence: Evidence, sound: bool) -> Checked:
 
 
 def check_clipping(evidence: Evidence, proof: RegionProof | None, sound: bool) -> Checked:
-    """U without its damping is strictly within the limits: clip(−y_c − Dw) = −y_c − ΣDw.
+    """U without its damping is strictly within the limits: 0 ≺ Σ ⪯ I of −Dw are left, or τ.
 
-    With D diagonal and 0 ≺ Σ ⪯ I diagonal V̇ ≤ 0 stays, and V̇ = 0 still means w = 0.
+    With D diagonal clipping leaves −y_c − ΣDw, Σ diagonal; else the code scales all of 𝒟 that has
+    to do with u by 0 < τ ≤ 1. V̇ ≤ 0 stays, and V̇ = 0 still means w = 0. 𝒟 ≻ 0, on which that
+    rests, is of the claim that V falls.
     """
     if evidence.claimed("clipping") and evidence.claims["clipping"].data.get("everywhere") is True:
         return _check_everywhere(evidence, sound)
-    model, m = evidence.model, evidence.model.m
-    damping = model.damping
-    alone = _is_alone(model)
-    none = [[0] * len(damping) for _ in range(m)]
-    level = evidence.certificate.level_clipped
-    return _check(evidence, proof, sound and alone, "clipping", level, none)
+    model, level = evidence.model, evidence.certificate.level_clipped
+    none = [[0] * len(model.damping) for _ in range(model.m)]
+    return _check(evidence, proof, sound, "clipping", level, none)
 
 
 def _dot(a: Sequence[Any], b: Sequence[Any]) -> arb:
     return sum((x * y for x, y in zip(a, b, strict=True)), arb(0))
-
-
-_WORDS = {"input_limits": statements.input_limits, "clipping": statements.clipping}
 
 
 def _check(
@@ -225,10 +204,14 @@ def _check(
         return Checked(name, False, f"no input limits are proved, for want of {missing}")
     height = evidence.number(name, "level_above_minimum")
     natural, bottom = level / unit, proof.bottom
+    whole = natural == proof.level
+    text = statements.input_limits(limits, height, whole)
+    if name == "clipping":
+        text = statements.clipping(limits, height, whole, evidence.model.scales_damping)
     inputs = InputProof(evidence.model, proof.energy, natural, damping)
     return Checked.by(
         name,
-        _WORDS[name](limits, height, natural == proof.level),
+        text,
         [
             ("V(z̄) < c_u", lambda: bool(bottom < natural)),
             ("c_u is as high above V(z̄)", lambda: bool(bottom + height / unit <= natural)),

@@ -38,6 +38,13 @@ class StoredFeedback:
         """Every entry."""
         return [e for matrix in (self.f, self.g, self.u0, self.gain) for e in matrix]
 
+    @property
+    def acts_alone(self) -> bool:
+        """Whether B is diagonal and positive, whatever the state."""
+        B, size = self.gain, range(self.gain.rows)
+        alone = all(B[i, j] == 0 for i in size for j in size if i != j)
+        return alone and all(B[i, i].is_positive is True for i in size)
+
 
 class StoredInterconnection:
     """The published loop (eq. ClosedLoopSystem)."""

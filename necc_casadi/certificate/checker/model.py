@@ -226,6 +226,21 @@ class StoredDesign:
         ahead = [] if self.ahead is None else self.ahead.written
         return [self.H, *self.loop.written, *ahead, *self.casimirs]
 
+    @property
+    def is_coupled(self) -> bool:
+        """Whether damping in u has to do with that in ξ̇."""
+        m, rows = self.m, self.damping
+        inner = range(m, len(rows))
+        return any(rows[i][j] or rows[j][i] for i in range(m) for j in inner)
+
+    @property
+    def scales_damping(self) -> bool:
+        """Whether the code keeps limits of u by scaling damping; else it clips each input."""
+        size = range(self.m)
+        full = any(self.damping[i][j] for i in size for j in size if i != j)
+        alone = not (full or self.is_coupled) and (self.ahead is None or self.ahead.acts_alone)
+        return self.u_limits is not None and not alone
+
     def target_balls(self) -> list[arb]:
         """z* = (x*, ξ*)."""
         return [evaluate(v, {}) for v in self.target] + [arb(v) for v in self.xi_star]

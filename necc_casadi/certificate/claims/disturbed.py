@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
-from functools import cached_property
-from typing import Any
+from dataclasses import dataclass, field
 
-from necc_casadi.certificate.claims.fields import read_as
 from necc_casadi.certificate.claims.regions import Rows, Side
 from necc_casadi.certificate.claims.rounding import Number, Program
-from necc_casadi.certificate.claims.sampled import Cell, SampledRegion, unpacked, walk
+from necc_casadi.certificate.claims.sampled import Cell, Covered, SampledRegion, walk
 
 __all__ = ["Disturbances", "DisturbedRegion"]
 
@@ -36,7 +32,7 @@ class Core:
 
 
 @dataclass(frozen=True)
-class DisturbedRegion:
+class DisturbedRegion(Covered):
     """What is proved of {W < w₁}, a part of Ω_T of the claim `sampled`; natural units.
 
     The Q, the box and the method are those of that claim.
@@ -60,17 +56,6 @@ class DisturbedRegion:
     above: float  # w_∞ − V(z̄)
     radius: tuple[float, ...]  # (N,)
 
-    @cached_property
-    def nodes(self) -> bytes:
-        """The nodes of the tree, a box before what it is cut into.
-
-        Raises
-        ------
-        ValueError
-            When they do not unpack.
-        """
-        return unpacked(self.tree)
-
     def leaves(self, region: SampledRegion) -> tuple[tuple[Cell, int], ...]:
         """Boxes that together are the box of the region and all periods, and what each is.
 
@@ -80,20 +65,3 @@ class DisturbedRegion:
             When the nodes are no tree.
         """
         return tuple(walk((*region.box, (0.0, self.period)), self.nodes))
-
-    @property
-    def data(self) -> dict[str, Any]:
-        """The entries of certificate.json, as they are read from there."""
-        entries: dict[str, Any] = json.loads(json.dumps(asdict(self)))
-        return entries
-
-    @classmethod
-    def read(cls, data: Mapping[str, Any]) -> DisturbedRegion:
-        """The region from these entries.
-
-        Raises
-        ------
-        KeyError, ValueError
-            When an entry is missing or has another type.
-        """
-        return read_as(cls, data)

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
-from typing import Any, Literal
+from dataclasses import dataclass
+from typing import Literal
 
 from necc_casadi.certificate.claims.family import over_ranges, taken, within
-from necc_casadi.certificate.claims.fields import read_as
+from necc_casadi.certificate.claims.fields import Entries
 from necc_casadi.certificate.claims.regions import Bends, Rows, Side
 
 __all__ = ["EverywhereClaim", "Gathers", "everywhere"]
@@ -18,7 +18,7 @@ Gathers = Literal["converges", "stable"]
 
 
 @dataclass(frozen=True)
-class EverywhereClaim:
+class EverywhereClaim(Entries):
     """∂²V_ϑ/∂y² ⪰ F ≻ 0 for every y and ϑ, the other states being momenta at rest."""
 
     family: str  # SHA-256 of family.json
@@ -27,22 +27,6 @@ class EverywhereClaim:
     bends: Bends  # what F rests on
     error: Mapping[str, float]  # of each plant state against its set-point, at most, model's units
     follows: Gathers
-
-    @property
-    def data(self) -> dict[str, Any]:
-        """The entries of certificate.json."""
-        return asdict(self)
-
-    @classmethod
-    def read(cls, data: Mapping[str, Any]) -> EverywhereClaim:
-        """The claim from these entries.
-
-        Raises
-        ------
-        KeyError, ValueError
-            When an entry is missing or has another type.
-        """
-        return read_as(cls, data)
 
 
 def everywhere(

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from decimal import ROUND_CEILING, ROUND_FLOOR, Context, Decimal
 from typing import Any
 
-from necc_casadi.certificate.claims.fields import read_as
+from necc_casadi.certificate.claims.fields import Entries
 from necc_casadi.certificate.claims.regions import Side
 
 __all__ = [
@@ -38,29 +38,13 @@ class FamilyBox:
 
 
 @dataclass(frozen=True)
-class FamilyClaim:
+class FamilyClaim(Entries):
     """All of them; together the boxes, with those that are left out, cover the ranges."""
 
     family: str  # SHA-256 of family.json
     boxes: tuple[FamilyBox, ...]
     left: tuple[tuple[Side, ...], ...]  # of ϑ, of which no minimum is claimed
     error: Mapping[str, Side]  # of each plant state against its set-point, units of the model
-
-    @property
-    def data(self) -> dict[str, Any]:
-        """The entries of certificate.json."""
-        return asdict(self)
-
-    @classmethod
-    def read(cls, data: Mapping[str, Any]) -> FamilyClaim:
-        """The claim from these entries.
-
-        Raises
-        ------
-        KeyError, ValueError
-            When an entry is missing or has another type.
-        """
-        return read_as(cls, data)
 
 
 def statement(

@@ -10,9 +10,9 @@ import dataclasses
 import sys
 import types
 from collections.abc import Callable, Iterator, Mapping
-from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import Any, Literal, Self, TypeVar, Union, get_args, get_origin, get_type_hints
 
-__all__ = ["Fields", "read_as", "without_twins"]
+__all__ = ["Entries", "Fields", "read_as", "without_twins"]
 
 
 T = TypeVar("T")
@@ -99,6 +99,26 @@ def read_as(kind: type[T], data: Mapping[str, Any], **readers: Callable[[Any], A
     )
 
 
+class Entries:
+    """What is proved of a claim: a dataclass whose fields are its entries of certificate.json."""
+
+    @property
+    def data(self) -> dict[str, Any]:
+        """The entries, by name."""
+        return dataclasses.asdict(self)  # type: ignore[call-overload,no-any-return]
+
+    @classmethod
+    def read(cls, data: Mapping[str, Any]) -> Self:
+        """What is proved, from these entries.
+
+        Raises
+        ------
+        KeyError, ValueError
+            When an entry is missing or has another type.
+        """
+        return read_as(cls, data)
+
+
 def _typed(hint: Any, value: Any, name: str) -> Any:
     """A value as the type says; JSON has lists for tuples."""
     origin, parts = get_origin(hint), get_args(hint)
@@ -107,7 +127,7 @@ def _typed(hint: Any, value: Any, name: str) -> Any:
             return None
         (inner,) = (part for part in parts if part is not types.NoneType)
         return _typed(inner, value, name)
-    if origin is tuple and isinstance(value, list):
+    if origin is tuple and isinstance(value, (list, tuple)):
         many = len(parts) == 2 and parts[1] is Ellipsis
         inner = parts[:1] * len(value) if many else parts
         if len(inner) == len(value):

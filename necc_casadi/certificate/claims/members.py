@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from decimal import ROUND_FLOOR, Context, Decimal
-from typing import Any
 
 from necc_casadi.certificate.claims.family import over_ranges, taken
-from necc_casadi.certificate.claims.fields import read_as
+from necc_casadi.certificate.claims.fields import Entries
 from necc_casadi.certificate.claims.regions import CellBox, Side
 
 __all__ = ["HeldBox", "MembersClaim", "members"]
@@ -25,7 +24,7 @@ class HeldBox:
 
 
 @dataclass(frozen=True)
-class MembersClaim:
+class MembersClaim(Entries):
     """Boxes of ϑ with a region each, and what all of these have in common."""
 
     family: str  # SHA-256 of family.json
@@ -36,22 +35,6 @@ class MembersClaim:
     cells: str  # marked cells at rest lie in the region of every member; see `packed`
     share: float  # of the domain that they are, at most
     step: Mapping[str, float]  # set-point → how far it may move at once, units of the model
-
-    @property
-    def data(self) -> dict[str, Any]:
-        """The entries of certificate.json."""
-        return asdict(self)
-
-    @classmethod
-    def read(cls, data: Mapping[str, Any]) -> MembersClaim:
-        """The claim from these entries.
-
-        Raises
-        ------
-        KeyError, ValueError
-            When an entry is missing or has another type.
-        """
-        return read_as(cls, data)
 
 
 def members(ranges: Mapping[str, Side], claim: MembersClaim, energy: float, measured: bool) -> str:

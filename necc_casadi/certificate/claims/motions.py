@@ -8,8 +8,10 @@ velocities are w_s = As, and s = A⁻¹w_s.
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
-from typing import Any, Literal
+from dataclasses import dataclass
+from typing import Literal
+
+from necc_casadi.certificate.claims.fields import Entries
 
 __all__ = ["Follows", "Rule", "Solutions", "Step"]
 
@@ -40,13 +42,8 @@ class Step:
 
 
 @dataclass(frozen=True)
-class Solutions:
+class Solutions(Entries):
     """What is proved of solutions from a set, and the steps that it takes, if any."""
 
     follows: Follows
     motion: tuple[Step, ...] = ()
-
-    @property
-    def data(self) -> dict[str, Any]:
-        """The entries of certificate.json."""
-        return asdict(self)

@@ -5,14 +5,14 @@ from __future__ import annotations
 import base64
 import zlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
 from necc_casadi.arrays import Truth, Vector
-from necc_casadi.certificate.claims.fields import read_as
+from necc_casadi.certificate.claims.fields import Entries
 from necc_casadi.certificate.claims.motions import Follows, Step
 
 __all__ = [
@@ -166,7 +166,7 @@ class Region:
 
 
 @dataclass(frozen=True)
-class GlobalClaim:
+class GlobalClaim(Entries):
     """V is radially unbounded and has one critical point; V_ee ⪰ F ≻ 0 for every e."""
 
     active: tuple[int, ...]  # the states y = (s, e); the others are momenta
@@ -176,22 +176,6 @@ class GlobalClaim:
     core: tuple[Side, ...]  # around s̄, with ∇²w ≻ 0
     follows: Follows
     motion: tuple[Step, ...] = ()  # what that rests on, if on anything
-
-    @property
-    def data(self) -> dict[str, Any]:
-        """The entries of certificate.json."""
-        return asdict(self)
-
-    @classmethod
-    def read(cls, data: Mapping[str, Any]) -> GlobalClaim:
-        """The claim from these entries.
-
-        Raises
-        ------
-        KeyError, ValueError
-            When an entry is missing or has another type.
-        """
-        return read_as(cls, data)
 
 
 def packed(leaves: Iterable[Leaf]) -> str:

@@ -3,17 +3,26 @@
 from __future__ import annotations
 
 import base64
-import json
 import zlib
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Literal
+from typing import Literal
 
-from necc_casadi.certificate.claims.fields import read_as
+from necc_casadi.certificate.claims.fields import Entries
 from necc_casadi.certificate.claims.regions import Rows, Side
 
-__all__ = ["BEYOND", "KEPT", "SPLIT", "Method", "SampledRegion", "packed_tree", "unpacked", "walk"]
+__all__ = [
+    "BEYOND",
+    "KEPT",
+    "SPLIT",
+    "Covered",
+    "Method",
+    "SampledRegion",
+    "packed_tree",
+    "unpacked",
+    "walk",
+]
 
 
 #: How ξ is advanced over a sample.
@@ -31,8 +40,25 @@ MOST_NODES, _DEEPEST = 2_000_000, 200
 Cell = tuple[Side, ...]
 
 
+class Covered(Entries):
+    """What is proved box by box, with the tree of the boxes."""
+
+    tree: str  # see `packed_tree`
+
+    @cached_property
+    def nodes(self) -> bytes:
+        """The nodes of the tree, a box before what it is cut into.
+
+        Raises
+        ------
+        ValueError
+            When they do not unpack.
+        """
+        return unpacked(self.tree)
+
+
 @dataclass(frozen=True)
-class SampledRegion:
+class SampledRegion(Covered):
     """Ω_T = {W < w₀} in a box, W = V + ½∇VᵀQ∇V; natural units."""
 
     period: float  # the longest
@@ -46,17 +72,6 @@ class SampledRegion:
     tree: str  # see `packed_tree`
 
     @cached_property
-    def nodes(self) -> bytes:
-        """The nodes, a box before what it is cut into.
-
-        Raises
-        ------
-        ValueError
-            When they do not unpack.
-        """
-        return unpacked(self.tree)
-
-    @cached_property
     def leaves(self) -> tuple[tuple[Cell, int], ...]:
         """Boxes that together are the whole, and what each is.
 
@@ -66,23 +81,6 @@ class SampledRegion:
             When the nodes are no tree.
         """
         return tuple(walk(self.root, self.nodes))
-
-    @property
-    def data(self) -> dict[str, Any]:
-        """The entries of certificate.json, as they are read from there."""
-        entries: dict[str, Any] = json.loads(json.dumps(asdict(self)))
-        return entries
-
-    @classmethod
-    def read(cls, data: Mapping[str, Any]) -> SampledRegion:
-        """The region from these entries.
-
-        Raises
-        ------
-        KeyError, ValueError
-            When an entry is missing or has another type.
-        """
-        return read_as(cls, data)
 
     @property
     def root(self) -> Cell:

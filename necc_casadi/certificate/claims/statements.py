@@ -21,8 +21,6 @@ from necc_casadi.certificate.claims.units import Units
 from necc_casadi.texts import velocity_names
 
 __all__ = [
-    "CLIPPED_EVERYWHERE",
-    "CLIPPING_IS_NOT_COVERED",
     "DAMPING",
     "DECREASE",
     "GLOBAL",
@@ -51,6 +49,7 @@ __all__ = [
     "NotSampled",
     "attraction",
     "casimir",
+    "clipped_everywhere",
     "clipping",
     "conserved",
     "disturbed",
@@ -250,18 +249,6 @@ NO_NEIGHBOURHOOD = (
 TOO_MANY = f"{NO_NEIGHBOURHOOD}, with at most {MOST_KEPT} states that are not minimised out"
 
 
-#: Where u is a constant beside its damping.
-CLIPPED_EVERYWHERE = (
-    "u without its damping is a constant strictly within the limits, and D is diagonal: what is "
-    "said of solutions holds from the same states with u clipped to its limits"
-)
-
-
-CLIPPING_IS_NOT_COVERED = (
-    "nothing is claimed of clipped inputs: the damping D is not diagonal, or coupled with ξ"
-)
-
-
 #: Coordinates of a place that are told at most.
 _TOLD = 6
 
@@ -413,7 +400,7 @@ def unproved(limits: Sequence[Sequence[float]]) -> Mapping[str, frozenset[str]]:
     return {
         "region": frozenset([NO_REGION, NO_NEIGHBOURHOOD, TOO_MANY]),
         "input_limits": frozenset([no_limits(limits)]),
-        "clipping": frozenset([no_clipping(limits), CLIPPING_IS_NOT_COVERED]),
+        "clipping": frozenset([no_clipping(limits)]),
         "global": frozenset(map(not_global, get_args(Missing))),
         "measurement": frozenset([NOT_MEASURED]),
         "momenta": frozenset([NO_MOMENTA]),
@@ -458,12 +445,30 @@ def input_limits(limits: Sequence[Sequence[float]], height: float, whole: bool) 
     )
 
 
-def clipping(limits: Sequence[Sequence[float]], height: float, whole: bool) -> str:
-    """Of the height above V(z̄) up to which clipped inputs change nothing of what is said."""
+#: How the controller keeps the limits of u, by whether it scales damping.
+_LIMITED = {
+    False: "every input clipped to {limits}",
+    True: "u kept within {limits} by scaling all of its damping injection alike, as the code does,",
+}
+
+
+def clipping(limits: Sequence[Sequence[float]], height: float, whole: bool, scaled: bool) -> str:
+    """Of the height above V(z̄) up to which limited inputs change nothing of what is said."""
     where = "Ω" if whole else f"{{V − V(z̄) ≤ {down(height, 6)}}} in Ω"
     return (
-        f"with the damping of this design and every input clipped to {ranges(limits)} all that is "
-        f"said of solutions holds on {where}: without damping u stays strictly within them there"
+        f"with the damping of this design and {_LIMITED[scaled].format(limits=ranges(limits))} all "
+        f"that is said of solutions holds on {where}: without damping u stays strictly within them "
+        "there"
+    )
+
+
+def clipped_everywhere(scaled: bool) -> str:
+    """Where u is a constant beside its damping."""
+    how = "its damping injection scaled to keep them" if scaled else "u clipped to its limits"
+    why = "" if scaled else ", and D is diagonal"
+    return (
+        f"u without its damping is a constant strictly within the limits{why}: what is said of "
+        f"solutions holds from the same states with {how}"
     )
 
 
@@ -473,9 +478,16 @@ def no_clipping(limits: Sequence[Sequence[float]]) -> str:
 
 
 def sampled(
-    region: SampledRegion, states: Sequence[str], units: Units, limits: Sequence[Sequence[float]]
+    region: SampledRegion,
+    states: Sequence[str],
+    units: Units,
+    limits: Sequence[Sequence[float]],
+    scaled: bool,
 ) -> str:
-    """Of the sampled loop from {W < w₀}, for all periods up to the longest."""
+    """Of the sampled loop from {W < w₀}, for all periods up to the longest.
+
+    `scaled`: limits scale damping, and do not clip.
+    """
     period = down(region.period * units.time, 6)
     box = ", ".join(
         f"{name} in [{up(lo * unit, 6)}, {down(hi * unit, 6)}]"
@@ -483,8 +495,11 @@ def sampled(
     )
     inputs = f"u stays within {ranges(limits)} there" if limits else "u is not clipped"
     if region.clipped:
-        inputs = f"u is clipped to {ranges(limits)}, as the code does"
-    too = ", u clipped too," if region.clipped else ""
+        how = "kept within" if scaled else "clipped to"
+        inputs = f"u is {how} {ranges(limits)}, as the code does"
+        inputs += ", by scaling its damping injection" if scaled else ""
+    limited = ", u so kept," if scaled else ", u clipped too,"
+    too = limited if region.clipped else ""
     more = ", …" if len(states) > _TOLD else ""
     return (
         f"for every sequence of sampling periods in (0, {period}] s whose sum is infinite, every "

@@ -29,7 +29,7 @@ from necc_casadi.certificate.prover.attraction import prove_attraction, prove_on
 from necc_casadi.certificate.prover.decrease import prove_decrease
 from necc_casadi.certificate.prover.equilibrium import Equilibrium, prove_equilibrium
 from necc_casadi.certificate.prover.global_stability import prove_global_stability
-from necc_casadi.certificate.prover.input_limits import clipping_is_covered, holds_everywhere
+from necc_casadi.certificate.prover.input_limits import holds_everywhere
 from necc_casadi.certificate.prover.integral import prove_integral
 from necc_casadi.certificate.prover.local_integral import prove_local_integral
 from necc_casadi.certificate.prover.measurement import prove_measurement
@@ -166,7 +166,9 @@ def with_sampled_loop(
     found = prove_sampled(design, certificate, sample_time, integrator)
     if isinstance(found, SampledRegion):
         limits = design.loop.plant.u_limits or ()
-        text = statements.sampled(found, design.loop.states, units_of(design), limits)
+        text = statements.sampled(
+            found, design.loop.states, units_of(design), limits, design.scales_damping
+        )
         claim = Claim("sampled", True, text, found.data)
         near = _disturbed(design, found, sample_time, disturbances)
         return certificate.having(claim, near)
@@ -315,14 +317,14 @@ def _limits_claim(design: Design, proof: RegionProof | None) -> Claim:
 
 def _clipping_claim(design: Design, proof: RegionProof | None) -> Claim:
     limits, energy = design.loop.plant.u_limits or (), design.units.energy
+    scaled = design.scales_damping
     if holds_everywhere(design):
-        return Claim("clipping", True, statements.CLIPPED_EVERYWHERE, {"everywhere": True})
-    if not clipping_is_covered(design):
-        return Claim("clipping", False, statements.CLIPPING_IS_NOT_COVERED)
+        text = statements.clipped_everywhere(scaled)
+        return Claim("clipping", True, text, {"everywhere": True})
     if proof is None or proof.level_clipped is None:
         return Claim("clipping", False, statements.no_clipping(limits))
     height, whole = energy * proof.height(proof.level_clipped), proof.level_clipped == proof.level
-    text = statements.clipping(limits, height, whole)
+    text = statements.clipping(limits, height, whole, scaled)
     return Claim("clipping", True, text, {"level_above_minimum": height})
 
 

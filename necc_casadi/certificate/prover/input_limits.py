@@ -26,7 +26,6 @@ from necc_casadi.designs.design import Design
 from necc_casadi.symbolic.zero import sign
 
 __all__ = [
-    "clipping_is_covered",
     "highest_at_rest",
     "holding_level",
     "holds_everywhere",
@@ -70,19 +69,10 @@ def input_level(
     return level if level > bottom else None
 
 
-def clipping_is_covered(design: Design) -> bool:
-    """Whether clipped inputs leave V̇ ≤ 0: a diagonal D that is not coupled with ξ."""
-    m = design.loop.plant.m
-    rows, columns = design.damping[:m], design.damping[:, :m]
-    alone = not (rows[:, m:].any() or columns[m:].any())
-    diagonal = not (rows[:, :m] - np.diag(np.diag(rows[:, :m]))).any()
-    return bool(alone and diagonal and _keeps_signs(design))
-
-
 def holds_everywhere(design: Design) -> bool:
     """Whether u without its damping is a constant strictly within the limits."""
     loop, limits = design.loop, design.loop.plant.u_limits
-    if limits is None or not loop.feedback.is_zero_matrix or not clipping_is_covered(design):
+    if limits is None or not loop.feedback.is_zero_matrix:
         return False
     ahead = loop.plant.preliminary
     u0 = [sp.Integer(0)] * loop.plant.m if ahead is None else list(ahead.u0)
@@ -94,25 +84,15 @@ def holds_everywhere(design: Design) -> bool:
     return not any(u.free_symbols for u in u0) and all(inside)
 
 
-def _keeps_signs(design: Design) -> bool:
-    """Whether B of u = u₀ + Bũ is diagonal and positive, whatever the state."""
-    ahead, m = design.loop.plant.preliminary, design.loop.plant.m
-    if ahead is None:
-        return True
-    off = [ahead.gain[i, j] for i in range(m) for j in range(m) if i != j]
-    return not any(off) and all(ahead.gain[i, i].is_positive is True for i in range(m))
-
-
 def holding_level(
     potential: Potential, cells: Interval, ceiling: float, bottom: float
 ) -> float | None:
     """The largest proved level up to which −A∇Hc is strictly within the limits of u.
 
-    There clip(−y_c − Dw) = −y_c − ΣDw with 0 ≺ Σ ⪯ I diagonal, w = Gᵀ∂V/∂x, so that whatever is
-    said of the loop holds with inputs that are clipped (docs/theory.md#clipped-inputs).
+    There clip(−y_c − Dw) = −y_c − ΣDw with 0 ≺ Σ ⪯ I diagonal, w = Gᵀ∂V/∂x, where D is diagonal,
+    and else all of 𝒟 is scaled by one 0 < τ ≤ 1, so that whatever is said of the loop holds with
+    inputs that are limited (docs/theory.md#clipped-inputs).
     """
-    if not clipping_is_covered(potential.design):
-        return None
     return input_level(without_damping(potential), cells, ceiling, bottom)
 
 

@@ -53,12 +53,12 @@ void necc_control(const necc_real x[NECC_NX], const necc_real xi[NECC_NXI],
 }
 
 /* @rate_of@ */
-static void rate(const necc_real x[NECC_NX], const necc_real xi[NECC_NXI],
+static void rate(const necc_real x[NECC_NX], const necc_real xi[NECC_NXI]@share_parameter@,
                  necc_real xidot[NECC_NXI])
 {
     shape_terms s;
     shape(x, xi, &s);
-    state_rate(x, xi, @law_arguments@, xidot);
+    state_rate(x, xi, @law_arguments@@share@, xidot);
 }
 
 static int all_finite(const necc_real *v, int count)
@@ -112,13 +112,13 @@ static void no_input(necc_real u[NECC_NU])
 int necc_output(necc_state *state, const necc_real x[NECC_NX], necc_real u[NECC_NU])
 {
     necc_state next;
-    necc_real v[NECC_NU], xidot[NECC_NXI];@counter@@held@
+    necc_real v[NECC_NU], xidot[NECC_NXI];@parts_of_u@@counter@@held@
     no_input(u);
     if (all_finite(x, NECC_NX) == 0 || all_finite(state->xi, NECC_NXI) == 0) {
         return NECC_REJECTED;
     }
     next = *state;
-    @see@@arrive@necc_control(@at@, next.xi, v, xidot);@subtract@@forward@
+    @see@@arrive@@law@
     if (all_finite(v, NECC_NU) == 0 || all_finite(xidot, NECC_NXI) == 0) {
         return NECC_REJECTED;
     }

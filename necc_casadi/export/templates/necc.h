@@ -41,7 +41,7 @@ typedef struct {
 
 /* Flags that a function returns, added; 0 when there is nothing to report. */
 #define NECC_OK 0
-#define NECC_SATURATED 1 /* u was clipped@limits@ */
+#define NECC_SATURATED 1 /* u was @limited@@limits@ */
 #define NECC_REJECTED 2 /* x, xi or dt not finite, dt < 0, or overflow: u = 0, state kept */
 #define NECC_NOT_CONVERGED 4 /* no minimum of V(x0, .) was reached: xi is the best found */
 

@@ -9,7 +9,7 @@ static void advance(const necc_state *s, necc_real dt, necc_real change[NECC_NXI
         for (i = 0; i < NECC_NXI; ++i) {
             trial[i] = s->xi[i] + dt * fraction[stage] * k[stage][i];
         }
-        rate(s->x, trial, k[stage + 1]);
+        rate(s->x, trial@share@, k[stage + 1]);
     }
     for (i = 0; i < NECC_NXI; ++i) {
         change[i] = dt / R(6.0) * (k[0][i] + R(2.0) * (k[1][i] + k[2][i]) + k[3][i]);

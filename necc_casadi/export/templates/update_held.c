@@ -11,7 +11,7 @@ int necc_update(necc_state *state, necc_real dt)
     }
     next = *state;
     if (next.moved != 0) {
-        rate(next.x, next.xi, next.xidot);
+        rate(next.x, next.xi@share@, next.xidot);
     }
     advance(&next, dt, change);
     for (i = 0; i < NECC_NXI; ++i) {

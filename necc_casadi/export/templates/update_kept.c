@@ -34,7 +34,7 @@ static void arrive(necc_state *s, const necc_real x[NECC_NX])
     integrated(x, shift);
     read_off(s, shift, s->xi);
     for (step = 0; step < @steps@ && s->due > R(0.0); ++step) {
-        rate(x, s->xi, change);
+        rate(x, s->xi@share@, change);
         for (i = 0; i < NECC_NXI; ++i) {
             accumulate(&s->kept[i], &s->kept_rest[i], h * change[i]);
         }

@@ -18,6 +18,7 @@ from necc_casadi.certificate.claims.fields import Fields
 from necc_casadi.certificate.claims.sampled import BEYOND, SampledRegion, packed_tree
 from necc_casadi.export.sampled_loop import SampledLoop
 from necc_casadi.report.design_rows import sampled_text
+from necc_casadi.report.values import TIE
 
 NAMES = (("q", "p", "xi1"), ("u",))
 
@@ -175,8 +176,8 @@ def test_it_does_not_hold_without_the_claim_that_it_rests_on(sampled_folder, tmp
 
 
 @pytest.mark.parametrize("share", [1.04, 1.0, 0.96])
-def test_the_summary_says_no_more_than_is_proved(sampled_folder, found, share):
-    """Radii are not rounded down, nor the longest period up."""
+def test_the_summary_says_no_more_than_is_proved(sampled_folder, default_design, share):
+    """Radii, each with its state and unit, are not rounded down, nor the longest period up."""
     certificate = Certificate.from_json((sampled_folder / "certificate.json").read_text("utf-8"))
     radius, period = (0.0841 * share, 0.0129 * share, 1.0), 0.012347 * share
     claims = [
@@ -187,9 +188,13 @@ def test_the_summary_says_no_more_than_is_proved(sampled_folder, found, share):
         else c
         for c in certificate.claims
     ]
-    text = sampled_text(SampledLoop(0.01, 0.9, None, None), replace(certificate, claims=claims))
-    (shown,) = re.findall(r"within \((.*?)\) of", text)
-    assert all(float(v) >= r for v, r in zip(shown.split(","), radius, strict=True))
+    certificate = replace(certificate, claims=claims)
+    text = sampled_text(default_design, SampledLoop(0.01, 0.9, None, None), certificate)
+    (shown,) = re.findall(r"within (.*?) of z̄", text.replace(TIE, " "))
+    states = [re.fullmatch(r"(\w+) ± ([\d.]+) ?(.*)", part).groups() for part in shown.split(", ")]
+    assert [name for name, _, _ in states] == ["q", "p", "xi1"]
+    assert [unit for _, _, unit in states] == ["rad", "kg m²/s", ""]
+    assert all(float(v) >= r for (_, v, _), r in zip(states, radius, strict=True))
     longest = [float(v) for v in re.findall(r"(?:up to|to) (0\.0\d+) s", text)]
     assert len(longest) == 2
     assert max(longest) <= period

@@ -33,8 +33,25 @@ def folder(sampled_folder):
 @pytest.fixture(scope="module")
 def clipped(default_design, tmp_path_factory):
     """Where u is clipped, by limits that leave no more than the damping of a small region."""
-    made = tmp_path_factory.mktemp("clipped")
     limited = with_limits(default_design, [(-0.9, 0.9)])
+    return proved(limited, tmp_path_factory.mktemp("clipped"))
+
+
+@pytest.fixture(scope="module")
+def scaled(default_design, tmp_path_factory):
+    """The same of a damping that is coupled with ξ, which the limits scale."""
+    limited = with_limits(coupled(default_design), [(-0.9, 0.9)])
+    return proved(limited, tmp_path_factory.mktemp("scaled"))
+
+
+def coupled(design):
+    """With as much between u and ξ as is in them, half of it skew."""
+    between = 0.4 * np.sqrt(design.damping[0, 0] * design.damping[1, 1])
+    return replace(design, damping=design.damping + np.array([[0, between], [0, 0]]))
+
+
+def proved(limited, made):
+    """What is proved of the sampled loop up to a small height."""
     limited.save(made / "design.json")
     part = replace(certify(limited, region=False), level_above_minimum=0.02)
     with pytest.MonkeyPatch.context() as patch:
@@ -50,6 +67,20 @@ def test_clipped_inputs_are_proved_again(clipped):
     assert region_of(clipped).clipped
     assert of(clipped).holds
     assert "u is clipped to [-0.9, 0.9]" in of(clipped).statement
+
+
+@pytest.mark.slow
+def test_damping_that_is_scaled_is_proved_again(scaled):
+    assert region_of(scaled).clipped
+    assert of(scaled).holds
+    kept = "u is kept within [-0.9, 0.9], as the code does, by scaling its damping injection"
+    assert kept in of(scaled).statement
+
+
+@pytest.mark.slow
+def test_scaled_damping_is_not_within_limits_by_itself(scaled, tmp_path):
+    verdict = forged(scaled, tmp_path, clipped=False)
+    assert verdict.statement.endswith("not proved: u is clipped where it is said to be alone")
 
 
 @pytest.mark.slow
@@ -92,7 +123,7 @@ def forged(folder, tmp_path, **changes):
     states = ("q", "p", "xi1")
     stored = json.loads((folder / "design.json").read_text("utf-8"))
     limits = stored["model"]["u_limits"] or ()
-    claim["statement"] = statements.sampled(region, states, certificate.units, limits)
+    claim["statement"] = statements.sampled(region, states, certificate.units, limits, False)
     (tmp_path / "certificate.json").write_text(json.dumps(data), encoding="utf-8")
     (tmp_path / "design.json").write_bytes((folder / "design.json").read_bytes())
     return of(tmp_path)
@@ -176,13 +207,17 @@ def test_a_jump_of_V_that_no_derivative_shows_is_seen(folder, inside):
 
 @pytest.mark.parametrize("method", ["euler", "heun"])
 @pytest.mark.parametrize("width", [0.0, 0.2])
-@pytest.mark.parametrize("clipped", [False, True])
+@pytest.mark.parametrize("clipped", ["never", "clipped", "scaled"])
 def test_the_form_says_what_a_step_does_to_w(folder, default_design, method, width, clipped):
     """W(z⁺) − W(z) = s ∇VᵀΠ∇V, by simulation of plant and controller."""
     _, stored, data = read_folder(folder)
     design, rng = default_design.natural, np.random.default_rng(3)
-    around = design.z_bar + rng.uniform(-0.5, 0.5, (8, 3))
-    if clipped:
+    if clipped == "scaled":
+        full = coupled(default_design)
+        data = json.loads(full.text)
+        design = full.natural
+    around, lost = design.z_bar + rng.uniform(-0.5, 0.5, (8, 3)), 0
+    if clipped != "never":
         design = limited_around(design, around, 0.15)
         pairs = np.array(design.loop.plant.u_limits) * default_design.units.input[0]
         data["model"]["u_limits"] = pairs.tolist()
@@ -196,11 +231,12 @@ def test_the_form_says_what_a_step_does_to_w(folder, default_design, method, wid
         box = tuple(zip(low, low + width, strict=True))
         gradient, _ = proof.gradient_and_hessian(box)
         held = (proof.step.inputs(box, gradient), [])
-        if clipped:
+        if clipped != "never":
             held = proof.step.held(box, gradient)
             if held is None:
                 assert width > 0
                 continue
+            lost += not bool(held[1][0] == 1)
         form = proof.step.form(box, gradient, held[0], period, proof.Q, held[1])
         after = sampled_step(design, z[None], np.array([s]), method)[0]
         slopes = design.lyapunov.gradient(np.array([z, after]))
@@ -213,6 +249,7 @@ def test_the_form_says_what_a_step_does_to_w(folder, default_design, method, wid
         said = said * s
         assert abs(said.mid() - (W[1] - W[0])) <= said.rad() + 1e-12
         assert width > 0.0 or said.rad() < 0.1 * abs(said.mid())  # and it is worth something
+    assert (lost > 0) == (clipped != "never")
 
 
 def drawn(design, region, count, seed=0):

@@ -2,7 +2,6 @@
 
 import copy
 import dataclasses
-import hashlib
 import json
 
 import numpy as np
@@ -15,6 +14,7 @@ from scipy.optimize import minimize
 from necc_casadi.certificate.claims import statements
 from necc_casadi.certificate.prover.certify import certify
 from necc_casadi.model.closed_loop import interconnect
+from necc_casadi.simulation.saturated import saturated_field
 
 LIMITS = (-2.5, 1.0)
 
@@ -102,7 +102,7 @@ def test_the_checker_proves_it_again_and_nothing_more(made, certificate, tmp_pat
         data["level_clipped"] += share * height
         other = claim(data, "clipping")
         other["data"]["level_above_minimum"] = height * (1 + share)
-        other["statement"] = statements.clipping([LIMITS], height * (1 + share), False)
+        other["statement"] = statements.clipping([LIMITS], height * (1 + share), False, False)
 
     for share in (0.2, 1.0, 10.0):
         data = copy.deepcopy(stored)
@@ -111,20 +111,46 @@ def test_the_checker_proves_it_again_and_nothing_more(made, certificate, tmp_pat
         assert not verdicts(folder)["clipping"], share
 
 
-def test_a_coupled_damping_is_not_covered(made, certificate, tmp_path):
-    """Neither by the maker nor, with a claim that was made of another design, by the checker."""
-    coupled = dataclasses.replace(made, damping=full_damping(made.damping))
-    folder = written(coupled, tmp_path / "coupled")
-    refused = claim(json.loads((folder / "certificate.json").read_text("utf-8")), "clipping")
-    assert not refused["holds"]
-    assert refused["statement"] == statements.CLIPPING_IS_NOT_COVERED
-    assert verdicts(folder)["contents"]
-    data = json.loads((folder / "certificate.json").read_text(encoding="utf-8"))
-    held = json.loads(certificate.to_json())
-    data["claims"] = [c for c in data["claims"] if c["name"] != "clipping"]
-    data["claims"].append(claim(held, "clipping"))
-    data["level_clipped"] = data["level"]
-    text = (folder / "design.json").read_text(encoding="utf-8")
-    data["design_hash"] = hashlib.sha256(text.encode()).hexdigest()
-    (folder / "certificate.json").write_text(json.dumps(data), encoding="utf-8")
+def coupled(made):
+    """The same with a damping that is coupled with ξ and has a skew part."""
+    return dataclasses.replace(made, damping=full_damping(made.damping))
+
+
+def test_a_coupled_damping_is_scaled(made, tmp_path):
+    """The claim is the same, about another law; the level needs no damping and is the same."""
+    scaled = coupled(made)
+    certificate = certify(scaled)
+    assert certificate.level_clipped > certificate.level_u
+    folder = written(scaled, tmp_path / "coupled")
+    found = claim(json.loads((folder / "certificate.json").read_text("utf-8")), "clipping")
+    assert found["holds"]
+    assert "scaling all of its damping injection" in found["statement"]
+    assert verdicts(folder)["clipping"]
+
+    field, lost = saturated_field(scaled), 0
+    for z in inside(scaled, certificate, 600, 0.0):
+        u = scaled.control(z[:2], z[2:])[0][0]
+        lost += not LIMITS[0] <= u <= LIMITS[1]
+        slope = np.asarray(scaled.lyapunov.gradient(z)).ravel()
+        rate = np.asarray(field(z), float).ravel()
+        assert slope @ rate <= 1e-12
+        resting = np.asarray(scaled.limited_controller.call([z[:2], z[2:]])[0], float)
+        assert LIMITS[0] <= resting[0, 0] <= LIMITS[1]
+    assert lost > 30
+    for start in inside(scaled, certificate, 3, 0.8):
+        ode = lambda t, z: np.asarray(field(z), float).ravel()  # noqa: E731
+        end = solve_ivp(ode, (0, 60), start, rtol=1e-7, atol=1e-9).y[:, -1]
+        assert np.abs(end - scaled.z_bar).max() < 0.02
+
+
+@pytest.mark.parametrize("is_coupled", [True, False])
+def test_the_claim_is_about_the_law_of_the_code(made, tmp_path, is_coupled):
+    """Clipping of a coupled damping is not accepted, nor that a diagonal one is scaled."""
+    folder = written(coupled(made) if is_coupled else made, tmp_path / "made")
+    path = folder / "certificate.json"
+    data = json.loads(path.read_text("utf-8"))
+    said = claim(data, "clipping")
+    height, whole = said["data"]["level_above_minimum"], data["level_clipped"] == data["level"]
+    said["statement"] = statements.clipping([LIMITS], height, whole, not is_coupled)
+    path.write_text(json.dumps(data), encoding="utf-8")
     assert not verdicts(folder)["clipping"]

@@ -34,7 +34,8 @@ def check_sampled(evidence: Evidence, sound: bool) -> Checked:
         raise ValueError("the sampled region does not fit the states")
     if not region.leaves:  # read before anything else is proved
         raise ValueError("the sampled region has no boxes")
-    text = statements.sampled(region, model.states, model.units, model.stated_limits or ())
+    limits, scaled = model.stated_limits or (), model.scales_damping
+    text = statements.sampled(region, model.states, model.units, limits, scaled)
     stable = ("V decreases around a minimum", lambda: sound)
     return Checked.by("sampled", text, [stable, *SampledProof(evidence, region).obligations()])
 

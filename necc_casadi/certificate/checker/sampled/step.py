@@ -65,9 +65,9 @@ class StepProof:
         self._bends = Linearised(sp.hessian(model.H, z[:n]), z[:n], True)
         self._feedback = Tape(list(model.feedback), z)
         self._ports = Tape(list(damping[: model.m, :] * model.ports.T), z)
-        rows = [-model.ports[:, i] * damping[i, :] * model.ports.T for i in range(model.m)]
         self.limits = model.u_limits or []
-        self._channels = [Tape(list(A), z) for A in rows] if self.limits else []
+        parts = [-model.ports * D * model.ports.T for D in _limited_parts(model, damping)]
+        self._channels = [Tape(list(A), z) for A in parts]
 
     @property
     def covered(self) -> bool:
@@ -81,10 +81,12 @@ class StepProof:
         return [a + b for a, b in zip(*self._law(box, gradient), strict=True)]
 
     def held(self, box: Box, gradient: Sequence[arb]) -> tuple[list[arb], list[arb]] | None:
-        """What limits leave of u = −y_c + v, and the shares of v in it.
+        """What limits leave of u = −y_c + v, and the shares of v in it, or of all damping.
 
         None where −y_c may be beyond them and u too.
         """
+        if self.model.scales_damping:
+            return self._scaled(*self._law(box, gradient))
         resting, damping = self._law(box, gradient)
         u = [a + b for a, b in zip(resting, damping, strict=True)]
         held: list[arb] = []
@@ -99,6 +101,25 @@ class StepProof:
             held.append(value.max(lo).min(hi))
             shares.append(_share(v, hi - rest, rest - lo))
         return held, shares
+
+    def _scaled(self, resting: list[arb], damping: list[arb]) -> tuple[list[arb], list[arb]] | None:
+        """The same where all damping has one share, the largest that every input allows."""
+        limits = [(arb(lo), arb(hi)) for lo, hi in self.limits]
+        u = [a + b for a, b in zip(resting, damping, strict=True)]
+        if all(bool(v >= lo) and bool(v <= hi) for v, (lo, hi) in zip(u, limits, strict=True)):
+            return u, [arb(1)]
+        least, most = arb(1), arb(1)
+        for rest, v, (lo, hi) in zip(resting, damping, limits, strict=True):
+            if not (v.is_finite() and bool(rest >= lo) and bool(rest <= hi)):
+                return None
+            share = _share(v, hi - rest, rest - lo)
+            least, most = least.min(share.lower()), most.min(share.upper())
+        tau = least.union(most)
+        held = [
+            (rest + tau * v).max(lo).min(hi)
+            for rest, v, (lo, hi) in zip(resting, damping, limits, strict=True)
+        ]
+        return held, [tau]
 
     def _law(self, box: Box, gradient: Sequence[arb]) -> tuple[list[arb], list[arb]]:
         """−y_c and v."""
@@ -138,7 +159,8 @@ class StepProof:
         model, names = self.model, count()
         n, size, last = model.n, len(box), period[1]
         values = [ball(*side) for side in box]
-        N = _table(self._flow(values), size)
+        full = _table(self._flow(values), size)
+        N = self._left(values, full, shares)  # of ξ̇; u is what is held
         rate = [_dot(row, gradient) for row in N]
         X = self._motion(box[:n], u, last)
         if X is None:
@@ -168,8 +190,21 @@ class StepProof:
         s = (next(names), arb(period[0] / 2 + period[1] / 2), arb(0))
         s = (s[0], s[1], _spread(period, s[1]))
         factor = self._factor(slopes, bent, s, last, names, size)
-        step = factor @ self._clipped(values, N, shares, names)
+        step = factor @ self._clipped(values, full, shares, names)
         return SampleProof(s, factor, step, mean, weighted, reached)
+
+    def _left(
+        self, values: list[arb], N: list[list[arb]], shares: Sequence[arb]
+    ) -> list[list[arb]]:
+        """N where limits scale damping that moves ξ, too; else as it is."""
+        if not (shares and self.model.scales_damping):
+            return N
+        (share,), (channel,) = shares, self._channels
+        lost = _table(channel(values), len(values))
+        return [
+            [a + (share - 1) * b for a, b in zip(row, part, strict=True)]
+            for row, part in zip(N, lost, strict=True)
+        ]
 
     def _clipped(
         self,
@@ -228,6 +263,21 @@ class StepProof:
                 for a, b in zip(held, tried, strict=True)
             )
         return None
+
+
+def _limited_parts(model: StoredDesign, damping: sp.Matrix) -> list[sp.Matrix]:
+    """What of 𝒟 each share is of: a row for each input, or all that has to do with u."""
+    size = range(damping.rows)
+    if not model.u_limits:
+        return []
+    if model.scales_damping:
+        shared = [[i for i in size if i < model.m or model.is_coupled]]
+    else:
+        shared = [[k] for k in range(model.m)]
+    return [
+        sp.Matrix([[damping[i, j] if i in rows else 0 for j in size] for i in size])
+        for rows in shared
+    ]
 
 
 def _share(v: arb, above: arb, below: arb) -> arb:

@@ -16,7 +16,6 @@ from necc_casadi.certificate.claims.regions import Region
 from necc_casadi.certificate.prover.arithmetic.intervals import Interval
 from necc_casadi.certificate.prover.arithmetic.potential import Potential
 from necc_casadi.certificate.prover.input_limits import (
-    clipping_is_covered,
     highest_at_rest,
     holding_level,
     holds_everywhere,
@@ -85,10 +84,8 @@ class ComponentProof(RegionProof):
     @cached_property
     def level_clipped(self) -> float | None:
         """The largest level that was found at which clipping does no harm; None: none was."""
-        potential = self.component.reduced.potential
-        if not clipping_is_covered(potential.design):
-            return None
-        return self._largest(self.held_below, without_damping(potential))
+        potential = without_damping(self.component.reduced.potential)
+        return self._largest(self.held_below, potential)
 
     def _largest(
         self, below: Callable[[float], float | None], potential: Potential
@@ -156,11 +153,11 @@ def _is_curved(potential: Potential) -> bool:
 def prove_region_within_limits(potential: Potential, minimum: Interval) -> RegionProof | None:
     """The component at whose level the input limits bind, where nothing else ends it.
 
-    That is where clipping may do harm or, where it does none or is not covered, where it begins.
+    That is where limits may do harm or, where they do none, where they begin to be met.
     """
     components = Components(potential, minimum[list(potential.active)])
     design = potential.design
-    clipped = clipping_is_covered(design) and not holds_everywhere(design)
+    clipped = not holds_everywhere(design)
     level = _level_of_limits(components, clipped)
     proof = None if level is None else _at(components, level)
     for _ in range(_HALVINGS):

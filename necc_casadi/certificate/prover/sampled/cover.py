@@ -180,7 +180,7 @@ def cover(
 def falls(step: Step, Q: Vector, clipping: Vector | None = None) -> Proof:
     """Whether W falls.
 
-    `clipping` is how fast Π changes with states and period where u is clipped, (m, N + 1).
+    `clipping` is how fast Π changes with states and period where u is limited, (channels, N + 1).
     """
 
     def proof(Z: Interval, s: Interval) -> Shown:

@@ -163,9 +163,9 @@ def _region(
 
 
 def _clipping(step: Step, guide: Guide, points: Vector) -> Vector:
-    """How fast Π changes with each state and the period where u is clipped, (m, N + 1).
+    """How fast Π changes with each state and the period where u is limited, (channels, N + 1).
 
-    Σ goes from 1 to 0 while u moves by the room between its limits.
+    A share goes from 1 to 0 while an input moves by the room between its limits.
     """
     limits = guide.design.loop.plant.u_limits or ()
     rates = np.zeros((len(limits), points.shape[1] + 1))
@@ -180,10 +180,13 @@ def _clipping(step: Step, guide: Guide, points: Vector) -> Vector:
         moved[:, k] += _APART * scale[k]
         change = np.abs(inputs(moved) - base) / (_APART * scale[k])
         rates[:, k] = np.nanmedian(change, axis=0)[: len(limits)]
-    channels = step.channels(point(points[:1]))
     for i, (lo, hi) in enumerate(limits):
-        part = (np.eye(size) + guide.Q @ S) @ channels[i].mid[0]
-        rates[i] *= np.linalg.norm(root @ (part + part.T) @ root) / (hi - lo)
+        rates[i] /= hi - lo
+    channels = step.channels(point(points[:1]))
+    rates = rates if len(channels) == len(rates) else rates.sum(0, keepdims=True)
+    for i, channel in enumerate(channels):
+        part = (np.eye(size) + guide.Q @ S) @ channel.mid[0]
+        rates[i] *= np.linalg.norm(root @ (part + part.T) @ root)
     return rates
 
 

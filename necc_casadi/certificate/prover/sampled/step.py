@@ -8,7 +8,8 @@
 where (f, k₁) = N∇V, N = M − 𝒢𝒟𝒢ᵀ, and S′ is in the hull of ∇²V between ξ and its predictor.
 
 Limits of u leave of −y_c + v, y_c = A∇Hc, an input −y_c + Σv, Σ diagonal in [0, I], wherever −y_c
-is within them: Σ multiplies the rows of 𝒟 in N that are about u.
+is within them: Σ multiplies the rows of 𝒟 in N that are about u. Where they scale damping, it is
+one number that multiplies all of 𝒟 that has to do with u.
 
 References
 ----------
@@ -33,6 +34,7 @@ from necc_casadi.certificate.prover.arithmetic.jets import expression_values
 from necc_casadi.certificate.prover.arithmetic.linearised import linearised
 from necc_casadi.certificate.prover.arithmetic.networks import network_jet
 from necc_casadi.certificate.prover.arithmetic.potential import Potential
+from necc_casadi.lyapunov.damping import without_inputs
 
 __all__ = ["Push", "Sample", "Step"]
 
@@ -51,7 +53,8 @@ class Sample:
     weighted: Affine  # S̃ = 2∫(1 − θ)∇²V(z + θΔz)dθ
     gradient: Interval  # ∇V at the start, (B, N)
     inputs: Interval  # u of the law, (B, m)
-    shares: Interval  # Σ, what limits leave of its damping, (B, m); NaN: −y_c may be beyond them
+    #: what limits leave of the damping of each channel, (B, channels); NaN: −y_c may be beyond them
+    shares: Interval
     factor: Affine  # Ñ = factor N, (B, N, N)
     reached: Interval  # where z is on the way, (B, N)
 
@@ -90,11 +93,12 @@ class Step:
     def _over(self, Z: Interval, s: Interval, push: Push | None) -> Sample:
         gradient = self.potential.jet(Z).grad
         N = matrix_enclosure(self.flow, self._symbols, Z)
-        rates = matmul(N, gradient[..., None])[..., 0]
         resting, damping = self._law(Z, gradient)
         u, shares = self._limited(resting, damping)
+        scaled = self._left(N, self.channels(Z), shares)
+        rates = matmul(scaled, gradient[..., None])[..., 0]
         n, upto = self._n, Interval(np.zeros_like(s.hi), s.hi)[:, None]
-        bent, moved = self._advanced(Z, N, rates[:, n:], upto)
+        bent, moved = self._advanced(Z, scaled, rates[:, n:], upto)
         given = u
         if push is not None:
             given = u + Interval(-push.inputs, push.inputs)
@@ -157,7 +161,7 @@ class Step:
         return (result + _placed(second, 0, size)).widened(rest)
 
     def channels(self, Z: Interval) -> list[Interval]:
-        """What the damping in each input adds to N where it has limits, (B, N, N) each."""
+        """What damping that limits leave shares of adds to N, (B, N, N) each; none without them."""
         return [matrix_enclosure(A, self._symbols, Z) for A in self._channels]
 
     def is_covered(self, Z: Interval, gradient: Interval) -> Truth:
@@ -186,19 +190,33 @@ class Step:
         return -resting, -matmul(damped, gradient[..., None])[..., 0]
 
     def _limited(self, resting: Interval, damping: Interval) -> tuple[Interval, Interval]:
-        """What is held of −y_c + v, and the shares Σ of v in it, (B, m)."""
+        """What is held of −y_c + v, (B, m), and the shares Σ of v in it, (B, channels)."""
         u, limits = resting + damping, self._limits
         if limits is None:
             return u, point(np.ones_like(u.lo))
-        held = Interval(np.clip(u.lo, limits.lo, limits.hi), np.clip(u.hi, limits.lo, limits.hi))
-        kept = (u.lo >= limits.lo) & (u.hi <= limits.hi)
+        kept: Truth = np.asarray((u.lo >= limits.lo) & (u.hi <= limits.hi))
         above, below = limits.hi - resting, resting - limits.lo
-        up = _share(above, damping)
-        down = _share(below, -damping)
-        lo, hi = np.minimum(up.lo, down.lo), np.minimum(up.hi, down.hi)
         inside = (above.lo >= 0) & (below.lo >= 0) & np.isfinite(damping.lo + damping.hi)
-        lo, hi = (np.where(kept, 1.0, np.where(inside, v, np.nan)) for v in (lo, hi))
-        return held, Interval(lo, hi)
+        up, down = _share(above, damping), _share(below, -damping)
+        least, most = np.minimum(up.lo, down.lo), np.minimum(up.hi, down.hi)
+        if not self.potential.design.scales_damping:
+            shares = _known(Interval(least, most), kept, inside)
+        else:
+            every = Interval(least.min(-1, keepdims=True), most.min(-1, keepdims=True))
+            whole, within = (np.asarray(v.all(-1))[:, None] for v in (kept, inside))
+            shares = _known(every, whole, within)
+            part = resting + shares * damping
+            u = Interval(np.where(whole, u.lo, part.lo), np.where(whole, u.hi, part.hi))
+        ends = (np.clip(v, limits.lo, limits.hi) for v in (u.lo, u.hi))
+        return Interval(*ends), shares
+
+    def _left(self, N: Interval, channels: list[Interval], shares: Interval) -> Interval:
+        """N where limits scale damping that moves ξ, too, (B, N, N); else as it is."""
+        if not (channels and self.potential.design.scales_damping):
+            return N
+        unknown = np.isnan(shares.lo)
+        lost = Interval(np.where(unknown, 0.0, shares.lo), np.where(unknown, 1.0, shares.hi)) - 1.0
+        return N + channels[0] * lost[..., None]
 
     def _motion(self, X: Interval, u: Interval, upto: Interval) -> Interval:
         """How far no motion from X goes beyond before s (Picard, Lindelöf); NaN: unknown."""
@@ -262,8 +280,13 @@ class Step:
     def _channels(self) -> list[sp.Matrix]:
         if self._limits is None:
             return []
-        ports, rows = sp.Matrix(self.potential.design.loop.ports), self._damping
-        return [-ports[:, i] * rows[i, :] * ports.T for i in range(len(self._given))]
+        design = self.potential.design
+        ports, rows = sp.Matrix(design.loop.ports), self._damping
+        if not design.scales_damping:
+            return [-ports[:, i] * rows[i, :] * ports.T for i in range(len(self._given))]
+        left = without_inputs(design.damping, design.loop.plant.m) != 0
+        scaled = sp.Matrix(*rows.shape, lambda i, j: 0 if left[i, j] else rows[i, j])
+        return [-ports * scaled * ports.T]
 
     @cached_property
     def _symbols(self) -> list[sp.Symbol]:
@@ -308,6 +331,12 @@ def _share(room: Interval, v: Interval) -> Interval:
         least = point(room.lo) / point(np.where(v.hi > 0, v.hi, np.nan))
         most = point(room.hi) / point(np.where(v.lo > 0, v.lo, np.nan))
     return Interval(np.fmin(np.maximum(least.lo, 0.0), 1.0), np.fmin(most.hi, 1.0))
+
+
+def _known(shares: Interval, whole: Truth, inside: Truth) -> Interval:
+    """1 where all is kept, the share where −y_c is within the limits, else NaN."""
+    lo, hi = (np.where(whole, 1.0, np.where(inside, v, np.nan)) for v in (shares.lo, shares.hi))
+    return Interval(lo, hi)
 
 
 def _side_by_side(a: Interval, b: Interval) -> Interval:
