@@ -179,8 +179,9 @@ def _variables(root: ET.Element, source: Source, units: Sequence[str]) -> None:
         add(name, i, "Real", value | unit, **words)
     add(
         rest[0], 0, "Integer", {}, causality="output", variability="discrete", initial="calculated",
-        description="1: u clipped, 2: input not finite, 4: no minimum found, 8: out of range, "
-        "16: moved part of the way, 32: not moved, 64: not proved with this parameter",
+        description="1: u at its limits, 2: input not finite, 4: no minimum found, "
+        "8: out of range, 16: moved part of the way, 32: not moved, "
+        "64: not proved with this parameter",
     )  # fmt: skip
     for name in rest[1:-1]:
         add(

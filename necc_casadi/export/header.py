@@ -116,7 +116,7 @@ def header(source: Source) -> str:
         margin_constants=margin_constants(source),
         margin=margin_declaration(source),
         sampling=_sampling(source),
-        limited="its damping scaled" if design.scales_damping else "clipped",
+        limited="kept to its limits by scaling damping" if design.scales_damping else "clipped",
         limits="" if plant.u_limits else "; never: the model has no limits",
         start_text=_START[design.initial_xi],
         order=_order(source),

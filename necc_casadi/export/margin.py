@@ -77,7 +77,7 @@ def margin_constants(source: Source) -> str:
         return lines[0]
     levels = (
         ("LIMITS", certificate.level_u, "u keeps its limits"),
-        ("CLIPPED", certificate.level_clipped, "clipping of u changes nothing that is claimed"),
+        ("CLIPPED", certificate.level_clipped, "limits of u change nothing that is claimed"),
     )
     for name, level, words in levels:
         if level is not None:

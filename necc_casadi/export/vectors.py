@@ -47,7 +47,7 @@ def next_state(source: Source) -> Next:
     left = share_of_damping(source.design)
 
     def after(x: Vector, s: Vector, dt: float, x_next: Vector) -> Vector:
-        tau = float(left(x, s))
+        tau = float(left(x, s)) if source.scales_rate else 1.0
         xi, h = s - gamma(x) + gamma(x_next), min(dt, source.longest_due) / m
         for _ in range(m):
             xi = xi + tau * h * np.asarray(kept.rate(x_next, xi), float).ravel()

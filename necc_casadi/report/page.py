@@ -48,8 +48,8 @@ _VERDICT = ("target", "Casimirs", "verdict", "method", "not held", "choice", "le
 _ABOUT = (
     "Proved means by exact algebra or by interval arithmetic with outward rounding, about the "
     "numbers stored in design.json, for the continuous-time loop of the model, where a claim does "
-    "not say that it is about the sampled one; inputs are not "
-    "clipped unless a claim says that clipping changes nothing. necc-certify proves each claim "
+    "not say that it is about the sampled one; inputs are "
+    "not limited unless a claim says that limits change nothing. necc-certify proves each claim "
     "again with other arithmetic."
 )
 

@@ -204,7 +204,9 @@ class _Search:
         box, n = domain_of(plan.loop, self.z_star, plan.natural.state), plan.terms.n
         starts = box.lo[:n] + quasi_random(_STARTS, n, _SEED) * (box.hi - box.lo)[:n]
         given = self.program.options.D is not None or self.program.options.Dc is not None
+        ahead = plan.loop.plant.preliminary
         alone = given and acts_alone(self.moving.trained, plan.terms.m)
+        alone = alone and (ahead is None or ahead.acts_alone)
         rollouts = Rollouts(self.moving, plant, starts, scales=not alone)
         spectrum = np.linalg.eigvals(rollouts.slope(self.theta)).astype(complex)
         fastest = float(np.abs(spectrum).max())

@@ -5,6 +5,7 @@ import shutil
 import subprocess
 from dataclasses import replace
 
+import numpy as np
 import pytest
 import sympy as sp
 from helpers.certificates import of_small_level
@@ -29,6 +30,7 @@ CASES = {
     "float": (LIMITED, SMALL, "heun"),
     "double": (arm_loop(), SUM, "rk4"),
     "kept": (LIMITED, KEPT, "casimir"),
+    "clipped": (LIMITED, KEPT, "heun"),
 }
 PEDANTIC = [
     "-Wcast-qual", "-Wcast-align", "-Wswitch-default", "-Wstrict-prototypes", "-Wundef",
@@ -44,8 +46,11 @@ def exported(folder, real):
         export_c(made, folder, real="float", certificate=of_small_level(made))
         return folder / "necc.c"
     loop, form, integrator = CASES[real]
-    made = design(loop, form)
-    number = "float" if real == "kept" else real
+    made = design(loop, form)  # its damping is full, so that limits scale it
+    if real == "clipped":
+        made = replace(made, damping=np.diag([5.0, 6.0]))
+    assert made.scales_damping == (real in ("float", "kept"))
+    number = "double" if real == "double" else "float"
     export_c(made, folder, real=number, integrator=integrator, sample_time=0.01, measured=False)
     return folder / "necc.c"
 

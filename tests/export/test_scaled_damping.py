@@ -4,16 +4,18 @@ The second route is the law written out in NumPy, the largest share found by bis
 """
 
 import dataclasses
+import subprocess
 
 import casadi as ca
 import numpy as np
 import pytest
-from helpers.constructed import full_damping, quadratic_pendulum
+from helpers.constructed import full_damping, quadratic_pendulum, two_link_arm
 from helpers.export_cases import STRICT, arm_loop, design
 from hypothesis import example, given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
+from necc_casadi.casimirs.find import find_casimirs
 from necc_casadi.export.c_project import export_c
 from necc_casadi.export.compiled import compile_controller
 from necc_casadi.export.source import Source
@@ -23,6 +25,7 @@ from necc_casadi.lyapunov.limits import scaled, share
 from necc_casadi.lyapunov.networks import Network
 from necc_casadi.lyapunov.parameterization import Form
 from necc_casadi.model.closed_loop import interconnect
+from necc_casadi.model.controller import default_controller
 
 SATURATED = 1
 D_FULL = np.array([[1.0, 0.9], [0.9, 1.0]])
@@ -164,14 +167,25 @@ def test_the_code_scales(made, real):
 
 def test_a_project_with_its_self_test(made, tmp_path):
     """The vectors of the exported project hold scaled samples, and its own test passes."""
-    import subprocess
-
     export_c(made, tmp_path)
     text = (tmp_path / "necc.h").read_text(encoding="ascii")
     assert "share v" in text
     assert ("share vc" in text) == is_coupled(made.damping, made.loop.plant.m)
     sources = [str(tmp_path / name) for name in ("necc.c", "selftest.c")]
     subprocess.run(["cc", "-O1", "-o", str(tmp_path / "t"), *sources, "-lm"], check=True)
+    subprocess.run([str(tmp_path / "t")], check=True, capture_output=True)
+
+
+@pytest.mark.parametrize("coupled", [False, True])
+@pytest.mark.parametrize("real", ["double", "float"])
+def test_kept_casimirs_with_scaled_damping(tmp_path, coupled, real):
+    """The self-test of a code that reads ξ off x: damping of ξ is scaled where it is coupled."""
+    loop = interconnect(plant := two_link_arm(), default_controller(plant))
+    made = design((loop, find_casimirs(loop)), Form(Network(2, (5,)), Network(2, (9,))))
+    made = with_limits(made, ((-2.0, 2.5), (-1.0, 1.5)), arm(coupled).damping)
+    export_c(made, tmp_path, integrator="casimir", real=real, sample_time=0.05, measured=False)
+    sources = [str(tmp_path / name) for name in ("necc.c", "selftest.c")]
+    subprocess.run(["cc", *STRICT, "-o", str(tmp_path / "t"), *sources, "-lm"], check=True)
     subprocess.run([str(tmp_path / "t")], check=True, capture_output=True)
 
 

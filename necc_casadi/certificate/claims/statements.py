@@ -452,13 +452,19 @@ _LIMITED = {
 }
 
 
+#: What is not said of the loop with limits, which other claims are about.
+_NOT_MEANT = (
+    "rates of decay, sampled loops, other set-points and plants, and integral action are not meant"
+)
+
+
 def clipping(limits: Sequence[Sequence[float]], height: float, whole: bool, scaled: bool) -> str:
     """Of the height above V(z̄) up to which limited inputs change nothing of what is said."""
     where = "Ω" if whole else f"{{V − V(z̄) ≤ {down(height, 6)}}} in Ω"
     return (
         f"with the damping of this design and {_LIMITED[scaled].format(limits=ranges(limits))} all "
         f"that is said of solutions holds on {where}: without damping u stays strictly within them "
-        "there"
+        f"there; {_NOT_MEANT}"
     )
 
 
@@ -468,7 +474,7 @@ def clipped_everywhere(scaled: bool) -> str:
     why = "" if scaled else ", and D is diagonal"
     return (
         f"u without its damping is a constant strictly within the limits{why}: what is said of "
-        f"solutions holds from the same states with {how}"
+        f"solutions holds from the same states with {how}; {_NOT_MEANT}"
     )
 
 

@@ -1,6 +1,6 @@
 /* v = resting + share pull, within the limits of the plant: the largest share of damping up to 1
  * that they leave, the same for every input. A limit that u is beyond without damping clips. */
-static int scale(const necc_real resting[NECC_NU], const necc_real pull[NECC_NU],
+static int scale_damping(const necc_real resting[NECC_NU], const necc_real pull[NECC_NU],
                  necc_real v[NECC_NU], necc_real share[1])
 {
     static const necc_real low[NECC_NU] = {@low@};

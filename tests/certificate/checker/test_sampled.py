@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import sympy as sp
-from flint import arb_mat
+from flint import arb, arb_mat
 from helpers.sampled import limited_around, sampled_step, with_limits
 
 from necc_casadi.certificate.checker.arithmetic.balls import ball
@@ -15,6 +15,7 @@ from necc_casadi.certificate.checker.evidence import Evidence
 from necc_casadi.certificate.checker.model import StoredDesign
 from necc_casadi.certificate.checker.reading import read_folder
 from necc_casadi.certificate.checker.sampled.sampled import SampledProof
+from necc_casadi.certificate.checker.sampled.step import StepProof
 from necc_casadi.certificate.claims import statements
 from necc_casadi.certificate.claims.certificate import Certificate
 from necc_casadi.certificate.claims.sampled import BEYOND, KEPT, SampledRegion, packed_tree
@@ -250,6 +251,18 @@ def test_the_form_says_what_a_step_does_to_w(folder, default_design, method, wid
         assert abs(said.mid() - (W[1] - W[0])) <= said.rad() + 1e-12
         assert width > 0.0 or said.rad() < 0.1 * abs(said.mid())  # and it is worth something
     assert (lost > 0) == (clipped != "never")
+
+
+def test_a_limit_that_is_touched_without_damping_is_not_covered_where_it_scales():
+    """The code then lets that limit clip, and leaves all of the other damping."""
+    step = StepProof.__new__(StepProof)
+    step.limits = [(-1.0, 1.0), (-1.0, 1.0)]
+    v, inside = [arb(1) / 2, arb(1) / 4], arb(0)
+    assert step._scaled([arb(1), inside], v) is None
+    assert step._scaled([arb(-1), inside], [-v[0], v[1]]) is None
+    held, (share,) = step._scaled([arb(3) / 4, inside], v)
+    assert share == arb(1) / 2  # the least, and the other input goes along
+    assert [held[0].overlaps(arb(1)), held[1].overlaps(arb(1) / 8)] == [True, True]
 
 
 def drawn(design, region, count, seed=0):

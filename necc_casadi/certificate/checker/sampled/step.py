@@ -110,8 +110,8 @@ class StepProof:
             return u, [arb(1)]
         least, most = arb(1), arb(1)
         for rest, v, (lo, hi) in zip(resting, damping, limits, strict=True):
-            if not (v.is_finite() and bool(rest >= lo) and bool(rest <= hi)):
-                return None
+            if not (v.is_finite() and bool(rest > lo) and bool(rest < hi)):
+                return None  # a limit that −y_c touches has no say in the share
             share = _share(v, hi - rest, rest - lo)
             least, most = least.min(share.lower()), most.min(share.upper())
         tau = least.union(most)

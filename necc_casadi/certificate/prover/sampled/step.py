@@ -203,7 +203,9 @@ class Step:
             shares = _known(Interval(least, most), kept, inside)
         else:
             every = Interval(least.min(-1, keepdims=True), most.min(-1, keepdims=True))
-            whole, within = (np.asarray(v.all(-1))[:, None] for v in (kept, inside))
+            # a limit that −y_c touches has no say in the share
+            strictly = inside & (above.lo > 0) & (below.lo > 0)
+            whole, within = (np.asarray(v.all(-1))[:, None] for v in (kept, strictly))
             shares = _known(every, whole, within)
             part = resting + shares * damping
             u = Interval(np.where(whole, u.lo, part.lo), np.where(whole, u.hi, part.hi))
