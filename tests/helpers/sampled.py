@@ -1,8 +1,22 @@
 """The sampled loop in floating point: the scheme that is exported, the plant to high accuracy."""
 
+from contextlib import contextmanager
 from dataclasses import replace
 
 import numpy as np
+import pytest
+
+from necc_casadi.certificate.prover.arithmetic import tables
+from necc_casadi.certificate.prover.sampled import prove
+
+
+@contextmanager
+def quick_proofs():
+    """Proofs of the periods that are asked for, of no longer ones, and by coarser tables."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(prove, "_TRIALS", 0)
+        patch.setattr(tables, "_MOST", 2**13)
+        yield
 
 
 def held_input(design, z):

@@ -3,11 +3,11 @@
 from dataclasses import replace
 
 import pytest
+from helpers.sampled import quick_proofs
 from helpers.velocity import crank
 
 from necc_casadi.certificate.claims.disturbed import Disturbances
 from necc_casadi.certificate.prover.certify import certify, with_sampled_loop
-from necc_casadi.certificate.prover.sampled import prove
 
 #: A small part of Ω and short periods: few boxes.
 T = 0.01
@@ -16,8 +16,7 @@ T = 0.01
 def _written(design, certificate, part, borne, made):
     """With what is proved of the sampled loop within a level."""
     design.save(made / "design.json")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(prove, "_TRIALS", 0)
+    with quick_proofs():
         within = replace(certificate, level_above_minimum=part)
         found = with_sampled_loop(design, within, T, "heun", borne)
     found = replace(found, level_above_minimum=certificate.level_above_minimum)

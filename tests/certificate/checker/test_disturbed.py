@@ -4,7 +4,9 @@ import json
 import re
 from dataclasses import replace
 
+import numpy as np
 import pytest
+from flint import arb
 
 from necc_casadi.certificate.checker.check import check
 from necc_casadi.certificate.checker.code import check_code
@@ -16,6 +18,9 @@ from necc_casadi.certificate.claims.certificate import Certificate
 from necc_casadi.certificate.claims.disturbed import DisturbedRegion
 from necc_casadi.certificate.claims.fields import Fields
 from necc_casadi.certificate.claims.sampled import BEYOND, SampledRegion, packed_tree
+from necc_casadi.certificate.prover.arithmetic.intervals import Interval
+from necc_casadi.certificate.prover.arithmetic.potential import Potential
+from necc_casadi.designs.design import Design
 from necc_casadi.export.sampled_loop import SampledLoop
 from necc_casadi.report.design_rows import sampled_text
 from necc_casadi.report.values import TIE
@@ -70,6 +75,25 @@ def test_noise_of_velocities_and_momenta_of_another_plant_are_refused(velocity_f
     design["model"]["inertia"] = [[f"2*({design['model']['inertia'][0][0]})"]]
     proof = proof_of(stored, design)
     assert not dict(proof.obligations())["q̇ of the plant at p = M(q)q̇"]()
+
+
+@pytest.mark.slow
+def test_the_hessian_of_a_wide_core_is_enclosed_closely(velocity_folder):
+    """Where M moves, balls of a whole core were wider than what the prover had, and refused it."""
+    _, stored, design = read_folder(velocity_folder)
+    proof, made = proof_of(stored, design), Design.load(velocity_folder)
+    half = np.array([0.15, 0.3, 0.1])
+    box = tuple(zip(made.z_bar - half, made.z_bar + half, strict=True))
+    close, whole = proof._hull(box).tolist(), proof.energy.hull(box)
+    lo, hi = np.array(box).T[:, None]
+    proved = Potential(made.natural).jet(Interval(lo, hi)).hess.rad[0]
+    z = np.random.default_rng(0).uniform(*np.array(box).T, (200, 3))
+    for i, j in np.ndindex(3, 3):
+        exact = made.lyapunov.hessian(z)[:, i, j]
+        lo, hi = (float(end(close[i][j])) for end in (arb.lower, arb.upper))
+        assert (lo - 1e-9 <= exact.min()) & (exact.max() <= hi + 1e-9)
+        assert float(close[i][j].rad()) <= 1.01 * proved[i, j] + 1e-9
+    assert float(whole[0][0].rad()) > 1.1 * proved[0, 0]
 
 
 def proof_of(stored, design):

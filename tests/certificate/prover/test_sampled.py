@@ -9,6 +9,7 @@ from helpers.sampled import (
     held_input,
     limited_around,
     plant_after,
+    quick_proofs,
     sampled_step,
     share,
     with_limits,
@@ -38,8 +39,7 @@ SUMS = ("paper", "default", "joint", "coupled", "beta-sum")
 @pytest.fixture(scope="module")
 def certified(default_design):
     """Of the part of Ω up to a third of its height, and no longer periods: fewer boxes."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(prove, "_TRIALS", 0)
+    with quick_proofs():
         return part_of(default_design, certify(default_design), 1 / 3)
 
 
@@ -308,7 +308,8 @@ def test_w_falls_in_the_compiled_code_at_samples_and_between(certified, default_
 
 
 def test_nothing_is_proved_of_periods_beyond_the_stable_ones(default_design):
-    found = certify(default_design, sample_time=50.0)
+    with quick_proofs():
+        found = certify(default_design, sample_time=50.0)
     (claim,) = [c for c in found.claims if c.name == "sampled"]
     assert not claim.holds
     assert found.sampled is None

@@ -5,7 +5,7 @@ The equations are those of docs/theory.md#rounding-noise-and-delay.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise, product
 
@@ -20,7 +20,7 @@ from necc_casadi.certificate.checker.sampled.rounding import units
 from necc_casadi.certificate.checker.sampled.step import SampleProof, StepProof
 from necc_casadi.certificate.claims.disturbed import DisturbedRegion
 
-__all__ = ["Computed", "DisturbedStep", "Falls"]
+__all__ = ["Computed", "DisturbedStep", "Falls", "cut"]
 
 
 _UNIT = ball(-1.0, 1.0)
@@ -83,13 +83,8 @@ class DisturbedStep:
 
     def earlier(self, box: Box, inputs: Sequence[arb], pieces: int) -> list[arb]:
         """How far a u that is computed anywhere in a box is off, given its rounding."""
-        parts = max(1, int(pieces ** (1 / len(box))))
-        sides = [
-            list(pairwise([lo + (hi - lo) * (k / parts) for k in range(parts)] + [hi]))
-            for lo, hi in box
-        ]
         worst = [arb(0)] * self.model.m
-        for piece in product(*sides):
+        for piece in cut(box, pieces):
             taken = self._taken(piece)
             off = taken.moved(self.slopes(taken.states), taken.errors)
             worst = [w.max(v) for w, v in zip(worst, off, strict=False)]
@@ -244,6 +239,16 @@ class DisturbedStep:
     def _rates(self, box: Box) -> list[arb]:
         """ξ̇ of the law over a box."""
         return self.step.rates(box, self.step.energy.gradient(box))[self.model.n :]
+
+
+def cut(box: Box, pieces: int) -> Iterator[Box]:
+    """At most so many pieces that together are a box, each side in as many parts."""
+    parts = max(1, int(pieces ** (1 / len(box))))
+    sides = [
+        list(pairwise([lo + (hi - lo) * (k / parts) for k in range(parts)] + [hi]))
+        for lo, hi in box
+    ]
+    return product(*sides)
 
 
 def _upper(A: Linear, v: arb_mat) -> arb_mat:

@@ -14,7 +14,7 @@ from necc_casadi.certificate.checker.arithmetic.balls import Box, by_bisection
 from necc_casadi.certificate.checker.arithmetic.definite import middle_of, positive
 from necc_casadi.certificate.checker.evidence import Checked, Evidence, Obligation
 from necc_casadi.certificate.checker.measurement import gives_momenta
-from necc_casadi.certificate.checker.sampled.disturbance import Computed, DisturbedStep, Falls
+from necc_casadi.certificate.checker.sampled.disturbance import Computed, DisturbedStep, Falls, cut
 from necc_casadi.certificate.checker.sampled.rounding import RoundingProof
 from necc_casadi.certificate.checker.sampled.sampled import HALVINGS, SampledProof
 from necc_casadi.certificate.checker.sampled.step import StepProof
@@ -33,6 +33,8 @@ _AGAIN, _PIECES = 16, 8
 _DEEP = 12
 #: Pieces of the box of the region on which errors of the law are bounded.
 _PARTS = 729
+#: Pieces of a core on which ∇²V is enclosed.
+_HULLS = 256
 
 
 def check_disturbed(evidence: Evidence, sampled: bool) -> Checked:
@@ -191,9 +193,18 @@ class _Disturbed:
         C, back = self.step.frame, self.step.back
         size = len(self.model.z)
         identity = arb_mat([[int(i == j) for j in range(size)] for i in range(size)])
-        near = _frobenius(C * arb_mat(self.energy.hull(core.box)) * C.transpose() - identity)
+        near = _frobenius(C * self._hull(core.box) * C.transpose() - identity)
         metric = back.transpose() * self.step.Q * back
         return self._bounds(near, metric)
+
+    def _hull(self, box: Box) -> arb_mat:
+        """∇²V over a box, in pieces: balls of closed forms are wide where a box is."""
+        hulls = (self.energy.hull(piece) for piece in cut(box, _HULLS))
+        size = range(len(box))
+        return reduce(
+            lambda a, b: arb_mat([[a[i, j].union(b[i, j]) for j in size] for i in size]),
+            map(arb_mat, hulls),
+        )
 
     def _bounds(self, near: arb, metric: arb_mat) -> tuple[arb, arb, arb] | None:
         values = _extremes(metric)

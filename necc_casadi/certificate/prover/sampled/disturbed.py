@@ -266,8 +266,7 @@ class _Proof:
         over, Z = self._potential, Interval(box.lo[None], box.hi[None])
         S = (over.sharp_jet(Z) if over.has_sharp_jet else over.jet(Z)).hess
         turned = matmul(matmul(point(C[None]), S), point(C.T[None])) - np.eye(len(C))
-        near = float(np.sqrt((turned.magnitude**2).sum()))
-        near *= 1 + near + _EASED  # other arithmetic is off in the second order of a box's width
+        near = float(np.sqrt((turned.magnitude**2).sum())) * (1 + _EASED)
         back = np.linalg.inv(C)
         metric = back.T @ np.array(self.region.metric) @ back
         values = np.linalg.eigvalsh((metric + metric.T) / 2)
