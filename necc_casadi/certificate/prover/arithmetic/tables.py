@@ -19,8 +19,9 @@ from necc_casadi.lyapunov.networks import Network
 __all__ = ["TabledPotential"]
 
 
-#: Boxes a side of a grid at most, and of the widest box that was asked for, by inputs.
-_MOST, _PARTS = {1: 2**16, 2: 2**7}, {1: 512, 2: 32}
+#: Boxes of a grid at most, and of the widest box that was asked for; of two inputs a quarter, since
+#: boxes can be joined in many ways. More inputs are not looked up.
+_MOST, _PARTS, _QUARTER = 2**16, 512, 4
 _INPUTS = 2
 #: A side of a box of the grid is at least this share of the longest one.
 _THIN = 2.0**-6
@@ -69,7 +70,8 @@ class _Table:
         lo, hi = X.lo.min(0), X.hi.max(0)
         lo, hi = lo - (hi - lo) / 2, hi + (hi - lo) / 2
         widest = (X.hi - X.lo).max(0)
-        finest = np.maximum(widest / _PARTS[d], 2 * (hi - lo) / _MOST[d])
+        most = (_MOST / _QUARTER ** (d - 1)) ** (1 / d)
+        finest = np.maximum(widest / _PARTS ** (1 / d), 2 * (hi - lo) / most)
         # ends are exact: steps are powers of two
         self.step = 2.0 ** np.floor(np.log2(np.maximum(finest, finest.max() * _THIN)))
         self.first = np.floor(lo / self.step)
