@@ -43,12 +43,24 @@ class Linearised:
         below = [k for k, s in enumerate(symbols) if any(p.base.has(s) for p in powers)]
         self._cut = below if len(below) in _PIECES else []
 
-    def __call__(self, box: Box, reached: Box, names: Sequence[int], fresh: count[int]) -> Linear:
-        """Over a box and wherever drifts lead from there, its means too; a name per variable."""
+    def __call__(
+        self, box: Box, reached: Box, names: Sequence[int], fresh: count[int], share: arb | int = 1
+    ) -> Linear:
+        """Over a box and wherever drifts lead from there, its means too; a name per variable.
+
+        `share` is how much of a drift that may be 0 the mean of the places has at most.
+        """
         halves = [(arb(hi) - arb(lo)) / 2 for lo, hi in box]
-        middle = [arb(lo) / 2 + arb(hi) / 2 for lo, hi in reached]
+        drifts = [
+            (share * (arb(a) - arb(lo)), share * (arb(b) - arb(hi)))
+            for (lo, hi), (a, b) in zip(box, reached, strict=True)
+        ]
+        middle = [
+            arb(lo) / 2 + arb(hi) / 2 + (a + b) / 2
+            for (lo, hi), (a, b) in zip(box, drifts, strict=True)
+        ]
         reach = [(ball(*side) - m).abs_upper() for side, m in zip(reached, middle, strict=True)]
-        moved = [(r - h).max(arb(0)).upper() for r, h in zip(reach, halves, strict=True)]
+        moved = [((b - a) / 2).abs_upper() for a, b in drifts]
         at, over = self._at(middle), self._enclosed(reached)
         center = arb_mat(*self.shape)
         parts = {name: arb_mat(*self.shape) for name in names}

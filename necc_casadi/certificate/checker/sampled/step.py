@@ -183,7 +183,7 @@ class StepProof:
         reached = _outwards([*(ball(*side) for side in X), *there])
         blocks = self.energy.curvatures(reached)
         varying = [next(names) for _ in range(n + model.m)]
-        bends = [self._bends(box[:n], X, varying[:n], names) for _ in range(2)]
+        bends = [self._bends(box[:n], X, varying[:n], names, arb(1) / 2) for _ in range(2)]
         mean, weighted = (_whole(H, blocks, size, names) for H in bends)
         given = tuple(ends(v) for v in u)
         slopes = self._slopes((*box[:n], *given), (*X, *given), varying, names)

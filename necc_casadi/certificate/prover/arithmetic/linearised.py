@@ -29,20 +29,26 @@ _PIECES = {1: 8, 2: 3}
 
 
 def linearised(
-    matrix: sp.MatrixBase, symbols: Sequence[sp.Symbol], Z: Interval, drift: Interval
+    matrix: sp.MatrixBase,
+    symbols: Sequence[sp.Symbol],
+    Z: Interval,
+    drift: Interval,
+    share: float = 1.0,
 ) -> tuple[Affine, Vector]:
     """A matrix over boxes Z (B, d) and wherever drifts (B, d) lead from there: F(m) + Σ Fₖ(m)hₖεₖ.
 
-    Besides the rest of each entry (B, r, c), of which a mean of values has no more.
+    Besides the rest of each entry (B, r, c), of which a mean of values has no more. `share` is how
+    much of a drift that may be 0 the mean of the places has at most.
     """
     boxes, d = Z.shape
     rows, columns = matrix.shape
     center, rest = np.zeros((boxes, rows, columns)), np.zeros((boxes, rows, columns))
     parts, error = np.zeros((boxes, d, rows, columns)), np.zeros((boxes, rows, columns))
-    reached, half = Z + drift, Z.rad
-    middle = Z.mid + drift.mid
+    reached, half, mean = Z + drift, Z.rad, drift * share
+    middle = Z.mid + mean.mid
     reach = (reached - middle).magnitude
-    moved = np.maximum(reach * _ROUND - half, 0.0) + 8 * UNIT * (np.abs(middle) + reach)
+    over = (Z + mean - middle).magnitude
+    moved = np.maximum(over * _ROUND - half, 0.0) + 8 * UNIT * (np.abs(middle) + reach)
     entries = list(dict.fromkeys(matrix))
     firsts = _jets(entries, symbols, point(middle))
     bends = _bends(entries, symbols, reached)

@@ -1,9 +1,11 @@
-"""Networks of one input over many intervals: enclosures on a grid, joined by range queries."""
+"""Networks of one input or two over many boxes: enclosures on a grid, joined by range queries."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import product
+from typing import Any
 
 import numpy as np
 
@@ -17,13 +19,19 @@ from necc_casadi.lyapunov.networks import Network
 __all__ = ["TabledPotential"]
 
 
-#: Intervals of a grid at most, and of the widest interval that was asked for.
-_MOST, _PARTS = 2**16, 512
+#: Boxes of a grid at most, and of the widest box that was asked for; of two inputs a quarter, since
+#: boxes can be joined in many ways. More inputs are not looked up.
+_MOST, _PARTS, _QUARTER = 2**16, 512, 4
+_INPUTS = 2
+#: A side of a box of the grid is at least this share of the longest one.
+_THIN = 2.0**-6
+#: Boxes at once.
+_ROWS = 2048
 
 
 @dataclass(frozen=True, eq=False)
 class TabledPotential(Potential):
-    """V whose networks of one input are looked up where intervals are wide."""
+    """V whose networks of few inputs are looked up where boxes are wide."""
 
     @cached_property
     def _tables(self) -> _Tables:
@@ -43,8 +51,8 @@ class _Tables:
     known: dict[tuple[Network, bytes], _Table] = field(default_factory=dict)
 
     def __call__(self, network: Network, weights: Vector, X: Interval) -> Jet:
-        """The network over intervals (B, 1)."""
-        if network.inputs != 1 or not np.isfinite(X.lo + X.hi).all():
+        """The network over boxes (B, d) of few inputs."""
+        if network.inputs > _INPUTS or not np.isfinite(X.lo + X.hi).all():
             return over_pieces(network, weights, X)
         key = (network, weights.tobytes())
         if key not in self.known or not self.known[key].holds(X):
@@ -55,48 +63,81 @@ class _Tables:
 
 
 class _Table:
-    """Enclosures of f, f′ and f″ on a grid of intervals, and of joins of 2ᵏ neighbours."""
+    """Enclosures of f, ∇f and ∇²f on a grid of boxes, and of joins of 2ᵏ neighbours a side."""
 
     def __init__(self, network: Network, weights: Vector, X: Interval) -> None:
-        self.network, self.weights = network, weights
-        lo, hi = float(X.lo.min()), float(X.hi.max())
+        self.network, self.weights, d = network, weights, X.shape[1]
+        lo, hi = X.lo.min(0), X.hi.max(0)
         lo, hi = lo - (hi - lo) / 2, hi + (hi - lo) / 2
-        widest = float((X.hi - X.lo).max())
-        self.step = 2.0 ** np.floor(np.log2(max(widest / _PARTS, 2 * (hi - lo) / _MOST)))
+        widest = (X.hi - X.lo).max(0)
+        most = (_MOST / _QUARTER ** (d - 1)) ** (1 / d)
+        finest = np.maximum(widest / _PARTS ** (1 / d), 2 * (hi - lo) / most)
+        # ends are exact: steps are powers of two
+        self.step = 2.0 ** np.floor(np.log2(np.maximum(finest, finest.max() * _THIN)))
         self.first = np.floor(lo / self.step)
-        count = int(np.ceil(hi / self.step) - self.first)
-        ends = (self.first + np.arange(count + 1)) * self.step  # exact: the step is a power of two
-        jet = network_jet(network, weights, Interval(ends[:-1, None], ends[1:, None]))
-        lows = np.stack([jet.value.lo, jet.grad.lo[:, 0], jet.hess.lo[:, 0, 0]])
-        highs = np.stack([jet.value.hi, jet.grad.hi[:, 0], jet.hess.hi[:, 0, 0]])
-        self.count, self.joins = count, [(lows, highs)]
-        while 2 ** len(self.joins) <= count:
-            (a, b), half = self.joins[-1], 2 ** (len(self.joins) - 1)
-            self.joins.append(
-                (np.minimum(a[:, :-half], a[:, half:]), np.maximum(b[:, :-half], b[:, half:]))
-            )
+        self.count = np.maximum(np.ceil(hi / self.step) - self.first, 1).astype(int)
+        cells = np.stack(np.meshgrid(*map(np.arange, self.count), indexing="ij"), -1)
+        low = (self.first + cells.reshape(-1, d)) * self.step
+        high = (self.first + cells.reshape(-1, d) + 1) * self.step
+        parts = [
+            _flat(network_jet(network, weights, Interval(low[rows], high[rows])))
+            for rows in np.array_split(np.arange(len(low)), -(-len(low) // _ROWS))
+        ]
+        lows, highs = (np.concatenate([p[k] for p in parts], 1) for k in (0, 1))
+        shape = (-1, *self.count)
+        self._joins = {(0,) * d: (lows.reshape(shape), highs.reshape(shape))}
 
     def holds(self, X: Interval) -> bool:
-        """Whether intervals are on the grid."""
+        """Whether boxes are on the grid."""
         last = self.first + self.count
-        return bool(X.lo.min() >= self.first * self.step and X.hi.max() <= last * self.step)
+        above, below = X.lo.min(0) >= self.first * self.step, X.hi.max(0) <= last * self.step
+        return bool(above.all() and below.all())
 
     def __call__(self, X: Interval) -> Jet:
-        lo, hi = X.lo[:, 0], X.hi[:, 0]
-        wide = hi - lo > self.step
+        lo, hi = X.lo, X.hi
+        d = lo.shape[1]
+        wide = (hi - lo > self.step).any(-1)
         left = np.clip(np.floor(lo / self.step) - self.first, 0, self.count - 1).astype(int)
         right = np.clip(np.ceil(hi / self.step) - self.first, 1, self.count).astype(int)
         level = np.floor(np.log2(np.maximum(right - left, 1))).astype(int)
-        least, most = np.empty((3, len(lo))), np.empty((3, len(lo)))
-        for k in np.unique(level[wide]):
-            rows = wide & (level == k)
-            lows, highs = self.joins[k]
-            a, b = left[rows], right[rows] - 2**k
-            least[:, rows] = np.minimum(lows[:, a], lows[:, b])
-            most[:, rows] = np.maximum(highs[:, a], highs[:, b])
+        size = 1 + d + d * d
+        least, most = np.empty((size, len(lo))), np.empty((size, len(lo)))
+        for k in np.unique(level[wide], axis=0):
+            rows = wide & (level == k).all(-1)
+            lows, highs = self._joined(tuple(k.tolist()))
+            corners = np.stack([left[rows], right[rows] - 2**k])
+            for at in product(range(2), repeat=d):
+                place: tuple[Any, ...] = tuple(corners[end, :, i] for i, end in enumerate(at))
+                below, above = lows[(slice(None), *place)], highs[(slice(None), *place)]
+                least[:, rows] = below if not any(at) else np.minimum(least[:, rows], below)
+                most[:, rows] = above if not any(at) else np.maximum(most[:, rows], above)
         if not wide.all():
             jet = network_jet(self.network, self.weights, X[~wide])
-            least[:, ~wide] = [jet.value.lo, jet.grad.lo[:, 0], jet.hess.lo[:, 0, 0]]
-            most[:, ~wide] = [jet.value.hi, jet.grad.hi[:, 0], jet.hess.hi[:, 0, 0]]
-        value, grad, hess = (Interval(a, b) for a, b in zip(least, most, strict=True))
-        return Jet(value, grad[:, None], hess[:, None, None])
+            least[:, ~wide], most[:, ~wide] = _flat(jet)
+        whole = Interval(least.T, most.T)
+        return Jet(whole[:, 0], whole[:, 1 : 1 + d], whole[:, 1 + d :].reshape(-1, d, d))
+
+    def _joined(self, k: tuple[int, ...]) -> tuple[Vector, Vector]:
+        """Of 2ᵏ boxes from each one on."""
+        if k not in self._joins:
+            axis = int(np.argmax(k))
+            half = 2 ** (k[axis] - 1)
+            lows, highs = self._joined((*k[:axis], k[axis] - 1, *k[axis + 1 :]))
+            ahead = [slice(None)] * lows.ndim
+            behind = list(ahead)
+            ahead[1 + axis], behind[1 + axis] = slice(half, None), slice(None, -half)
+            a, b = tuple(behind), tuple(ahead)
+            self._joins[k] = np.minimum(lows[a], lows[b]), np.maximum(highs[a], highs[b])
+        return self._joins[k]
+
+
+def _flat(jet: Jet) -> tuple[Vector, Vector]:
+    """The ends of f, ∇f and ∇²f over boxes, (1 + d + d², B)."""
+    boxes = len(jet.grad.lo)
+    lo, hi = (
+        np.concatenate(
+            [getattr(part, end).reshape(boxes, -1) for part in (jet.value, jet.grad, jet.hess)], 1
+        ).T
+        for end in ("lo", "hi")
+    )
+    return lo, hi

@@ -105,7 +105,7 @@ class Step:
             moved = moved + upto * Interval(-push.rates, push.rates)
         drift = self._motion(Z[:, :n], given, upto)
         curved = self.potential.curvatures(_side_by_side(Z[:, :n] + drift, moved))
-        energy, rest = linearised(self._bends, self._symbols[:n], Z[:, :n], drift)
+        energy, rest = linearised(self._bends, self._symbols[:n], Z[:, :n], drift, 0.5)
         blocks = [Interval(-rest, rest), *(A for A, _ in curved)]
         frames = [np.eye(self._size)[:n], *(L for _, L in curved)]
         slopes, left = self._slopes_over(Z[:, :n], given, drift)
