@@ -26,6 +26,7 @@ _SIGNS = {
     "√": "sqrt", "∞": "inf", "∩": " and ", "∪": " or ", "∫": "int ", "⊂": " in ", "⊃": " holds ",
     "⊥": "_|_", "⟨": "<", "⟩": ">", "─": "-", "└": "`", "├": "|", "│": "|", "•": "*", "✓": "ok",
     "′": "'", "″": "''", "‴": "'''", "°": "deg", "±": "+-", "½": "1/2", "µ": "u", "Ω": "Omega",
+    "ũ": "w",  # as the law of the header has it
     "ᵀ": "'", "‘": "'", "’": "'", "“": '"', "”": '"', "«": '"', "»": '"', "¬": "not ",
     "\N{COMBINING MACRON}": "bar", "\N{COMBINING DOT ABOVE}": "dot",
     "\N{COMBINING CIRCUMFLEX ACCENT}": "hat",

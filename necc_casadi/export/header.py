@@ -61,7 +61,8 @@ _SHARE = "\n    necc_real share[1]; /* of damping that the limits of u left at t
 #: How u keeps limits that scale damping.
 _SCALING = (
     "\n *"
-    "\n * Within the limits of u v is share v@too@, with the largest share up to 1 that they leave."
+    "\n * Limits of u scale damping: @what@ taken times the largest share up to 1 with which"
+    "\n * u keeps to them."
 )
 
 
@@ -169,7 +170,7 @@ def _law(source: Source) -> str:
     if source.design.loop.plant.preliminary is not None:
         law = law.replace(" *   u  =", " *   w  =") + "\n *   u  = u0(x) + B(x) w"
     if source.design.scales_damping:
-        law += _SCALING.replace("@too@", " and vc share vc" if source.scales_rate else "")
+        law += _SCALING.replace("@what@", "v and vc are" if source.scales_rate else "v is")
     return law
 
 

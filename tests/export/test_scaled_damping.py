@@ -169,8 +169,8 @@ def test_a_project_with_its_self_test(made, tmp_path):
     """The vectors of the exported project hold scaled samples, and its own test passes."""
     export_c(made, tmp_path)
     text = (tmp_path / "necc.h").read_text(encoding="ascii")
-    assert "share v" in text
-    assert ("share vc" in text) == is_coupled(made.damping, made.loop.plant.m)
+    assert "Limits of u scale damping" in text
+    assert ("v and vc are taken" in text) == is_coupled(made.damping, made.loop.plant.m)
     sources = [str(tmp_path / name) for name in ("necc.c", "selftest.c")]
     subprocess.run(["cc", "-O1", "-o", str(tmp_path / "t"), *sources, "-lm"], check=True)
     subprocess.run([str(tmp_path / "t")], check=True, capture_output=True)
