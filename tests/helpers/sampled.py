@@ -15,7 +15,7 @@ def quick_proofs():
     """Proofs of the periods that are asked for, of no longer ones, and by coarser tables."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(prove, "_TRIALS", 0)
-        patch.setitem(tables._MOST, 1, 2**13)
+        patch.setattr(tables, "_MOST", 2**13)
         yield
 
 
