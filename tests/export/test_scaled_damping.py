@@ -189,6 +189,18 @@ def test_kept_casimirs_with_scaled_damping(tmp_path, coupled, real):
     subprocess.run([str(tmp_path / "t")], check=True, capture_output=True)
 
 
+@pytest.mark.parametrize("real", ["double", "float"])
+def test_what_is_not_scaled_has_the_bits_of_the_law(made, real):
+    """Bounds of rounding are those of the law: with a share of 1 nothing else is rounded."""
+    compiled, same = compile_controller(made, real=real, flags=STRICT), 0
+    for x, xi in states(made, 200, seed=7):
+        us, _, flags = compiled.samples(xi, x[None], np.array([0.0]))
+        if not flags[0]:
+            assert np.array_equal(us[0], compiled.control(x, xi)[0])
+            same += 1
+    assert same > 3
+
+
 def test_infinite_parts_are_rejected(made):
     compiled = compile_controller(made, flags=STRICT)
     x = np.full((1, made.loop.plant.n), 1e308)
