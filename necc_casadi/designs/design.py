@@ -27,8 +27,7 @@ from necc_casadi.designs.natural import natural_parts
 from necc_casadi.designs.parts import Parts
 from necc_casadi.errors import OptionError, OutputError
 from necc_casadi.files import refuse_unfinished, write_text
-from necc_casadi.lyapunov.damping import acts_alone
-from necc_casadi.lyapunov.limits import limited_law
+from necc_casadi.lyapunov.limits import limited_law, scales_damping
 from necc_casadi.lyapunov.lyapunov import LyapunovFunction, make_terms
 from necc_casadi.lyapunov.opened_loop import opened_at_the_input
 from necc_casadi.model.domain import Domain, domain_of
@@ -206,10 +205,7 @@ class Design(Parts):
     @cached_property
     def scales_damping(self) -> bool:
         """Whether limits of u scale the damping injection; else they clip each input by itself."""
-        plant = self.loop.plant
-        ahead = plant.preliminary
-        alone = acts_alone(self.damping, plant.m) and (ahead is None or ahead.acts_alone)
-        return plant.u_limits is not None and not alone
+        return scales_damping(self.loop.plant, self.damping)
 
     @cached_property
     def limited_controller(self) -> ca.Function:

@@ -16,8 +16,17 @@ import casadi as ca
 import numpy as np
 
 from necc_casadi.arrays import Vector
+from necc_casadi.lyapunov.damping import acts_alone
+from necc_casadi.model.plant import Plant
 
-__all__ = ["clipped", "limited_law", "scaled", "share"]
+__all__ = ["clipped", "limited_law", "scaled", "scales_damping", "share"]
+
+
+def scales_damping(plant: Plant, damping: Vector) -> bool:
+    """Whether limits of u scale this damping injection; else they clip each input by itself."""
+    ahead = plant.preliminary
+    alone = acts_alone(damping, plant.m) and (ahead is None or ahead.acts_alone)
+    return plant.u_limits is not None and not alone
 
 
 def limited_law(

@@ -26,7 +26,7 @@ import numpy as np
 
 from necc_casadi.arrays import Vector
 from necc_casadi.designs.outcome import Start
-from necc_casadi.lyapunov.damping import acts_alone
+from necc_casadi.lyapunov.limits import scales_damping
 from necc_casadi.lyapunov.opened_loop import plant_dynamics
 from necc_casadi.model.domain import domain_of
 from necc_casadi.model.samples import quasi_random
@@ -204,10 +204,8 @@ class _Search:
         box, n = domain_of(plan.loop, self.z_star, plan.natural.state), plan.terms.n
         starts = box.lo[:n] + quasi_random(_STARTS, n, _SEED) * (box.hi - box.lo)[:n]
         given = self.program.options.D is not None or self.program.options.Dc is not None
-        ahead = plan.loop.plant.preliminary
-        alone = given and acts_alone(self.moving.trained, plan.terms.m)
-        alone = alone and (ahead is None or ahead.acts_alone)
-        rollouts = Rollouts(self.moving, plant, starts, scales=not alone)
+        scales = not given or scales_damping(plan.loop.plant, self.moving.trained)
+        rollouts = Rollouts(self.moving, plant, starts, scales)
         spectrum = np.linalg.eigvals(rollouts.slope(self.theta)).astype(complex)
         fastest = float(np.abs(spectrum).max())
         if plant.linear is None or not spectrum.real.max() < 0:

@@ -101,7 +101,6 @@ def _near_inverse(A: arb_mat) -> tuple[arb_mat, arb_mat, arb] | None:
     return (C, E, excess) if excess < 1 else None
 
 
-@np.errstate(all="ignore")  # a guess that overflows is none
 def hurwitz(A: arb_mat) -> bool:
     """Whether every member of A has its spectrum in the left half plane: AᵀP + PA ≺ 0, P ≻ 0."""
     guess = lyapunov_matrix(middle_of(A))
@@ -112,6 +111,7 @@ def hurwitz(A: arb_mat) -> bool:
     return positive(P, 0) and positive(-(PA + PA.transpose()), 0)
 
 
+@np.errstate(all="ignore")  # a guess that overflows is none
 def lyapunov_matrix(A: np.ndarray[Any, Any]) -> np.ndarray[Any, Any] | None:
     """A guess of P with AᵀP + PA = −I; what it is worth is decided afterwards.
 
