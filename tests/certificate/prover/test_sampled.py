@@ -266,6 +266,18 @@ def test_clipped_inputs_are_covered(clipped):
 
 
 @pytest.mark.slow
+def test_a_small_region_is_found_far_below_a_height_that_is_not_proved(default_design):
+    """Damping that is scaled leaves little near the height at which the limits bind."""
+    between = 0.4 * np.sqrt(default_design.damping[0, 0] * default_design.damping[1, 1])
+    full = replace(
+        default_design, damping=default_design.damping + np.array([[0, between], [0, 0]])
+    )
+    found = up_to(with_limits(full, [(-0.9, 0.9)]), 2.0)
+    assert found.sampled.clipped
+    assert 0.015 < found.sampled.height * default_design.units.energy < 0.2
+
+
+@pytest.mark.slow
 def test_limits_that_are_never_met_are_said_to_be_kept(default_design):
     found = up_to(with_limits(default_design, [(-20.0, 20.0)]), 0.05)
     (claim,) = [c for c in found.claims if c.name == "sampled"]

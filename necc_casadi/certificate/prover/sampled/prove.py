@@ -38,7 +38,8 @@ _POINTS, _STARTS = 400, 200
 _FEW = 60
 #: Shares of the height that are tried, and boxes that may be looked at for each; a share is reached
 #: where this much of it is.
-_SHARES, _ENOUGH = ((1.0, 20_000), (0.4, 6_000), (0.1, 6_000)), 0.9
+_SHARES = ((1.0, 20_000), (0.4, 6_000), (0.1, 6_000), (0.03, 6_000), (0.01, 6_000))
+_ENOUGH = 0.9
 #: Boxes of states alone.
 _CELLS = 20_000
 #: Boxes for each longer period that is tried, and by which factors: the first as long as it
